@@ -50,8 +50,7 @@ def calibrate(
     Raises PoorCalibration where there is no solution at all, UsageError for an unknown method.
     """
     from mavcompass.calibration import calibrate_track
-    from mavcompass.calibration.result import CalibrationResult, summary
-    from mavcompass.calibration.verdict import Limits
+    from mavcompass.calibration.result import CalibrationResult, Limits, summary
 
     _shows(CalibrationResult, lambda result: [summary(result), *result.reasons, *result.warnings])
     limits = Limits(heading_deg=max_heading_error_deg)

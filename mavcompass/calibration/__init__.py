@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from mavcompass.calibration.observation import StillnessDetector as StillnessDetector
     from mavcompass.calibration.observation import find_dwells as find_dwells
     from mavcompass.calibration.positions import solve_four_positions as solve_four_positions
-    from mavcompass.calibration.verdict import Limits as Limits
+    from mavcompass.calibration.result import Limits as Limits
 
 __getattr__, __dir__ = door(
     __name__,
@@ -26,6 +26,6 @@ __getattr__, __dir__ = door(
         "StillnessDetector": "observation",
         "find_dwells": "observation",
         "solve_four_positions": "positions",
-        "Limits": "verdict",
+        "Limits": "result",
     },
 )

@@ -13,8 +13,7 @@ from mavcompass.calibration.judge import Case, judge
 from mavcompass.calibration.methods import find_method
 from mavcompass.calibration.methods.running import Learnt, learn
 from mavcompass.calibration.recorded import Recorded
-from mavcompass.calibration.result import CalibrationResult
-from mavcompass.calibration.verdict import DEFAULT_LIMITS, Limits
+from mavcompass.calibration.result import DEFAULT_LIMITS, CalibrationResult, Limits
 from mavcompass.compass_parameters import values
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import BadRecording, MavCompassError, PoorCalibration

@@ -18,11 +18,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mavcompass.calibration.comparison import compared, within
 from mavcompass.calibration.evidence import Evidence, gather
 from mavcompass.calibration.mounting import TURNED_RAD, as_set, mounted_turned, mounting_words, turned_compass
-from mavcompass.calibration.result import CalibrationResult, Mounting, Witness
-from mavcompass.calibration.verdict import Limits
+from mavcompass.calibration.result import CalibrationResult, Limits, Mounting, Witness
 from mavcompass.compass_parameters import is_calibrated, orientation_name, sensor_to_body
 from mavcompass.compass_parameters.orientations import NUMBERED, NUMBERED_WITHIN_RAD, angle_between, nearest
 from mavcompass.earth_field import EarthField, earth_field_of
@@ -92,7 +90,7 @@ def _weighed(
     """Claim no less than the rms error by all that the sources may show, and judge by that."""
     beyond_rad = math.hypot(found.beyond_rad(0), evidence.scatter_rad)
     sigma_deg = math.hypot(result.heading_sigma_deg, math.degrees(beyond_rad))
-    return within(result.widened(sigma_deg, "disagreement"), limits, _contradiction(found, evidence))
+    return result.widened(sigma_deg, "disagreement").within(limits, _contradiction(found, evidence))
 
 
 def _contradiction(found: FaultIsolation, evidence: Evidence) -> str:
@@ -188,7 +186,7 @@ def _as_mounted(
             return None
         free = nearest(rotation @ in_force, NUMBERED)[1] > NUMBERED_WITHIN_RAD
         mounting = Mounting(seen=True, turned=rotation)
-        solved = compared(replace(solved, in_force=result.in_force.turned(rotation), mounting=mounting))
+        solved = replace(solved, in_force=result.in_force.turned(rotation), mounting=mounting).compared()
         evidence = turned.evidence(solved)
         again = isolate_faults(evidence.sources)
         # Readings that are turned clockwise show a heading that much less.

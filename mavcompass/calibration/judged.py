@@ -7,13 +7,12 @@ import math
 import numpy as np
 
 from mavcompass.blas import single_thread
-from mavcompass.calibration.comparison import compared
 from mavcompass.calibration.model import GAIN, HORIZONTAL, VERTICAL
 from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.positions import FourPositionsResult, solve_four_positions, unobserved
-from mavcompass.calibration.result import CalibrationResult, Position
+from mavcompass.calibration.result import DEFAULT_LIMITS, CalibrationResult, Limits, Position
 from mavcompass.calibration.rigid import DEFAULT_PRIOR, IronPrior
-from mavcompass.calibration.verdict import DEFAULT_LIMITS, Limits, judge
+from mavcompass.calibration.verdict import judge
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.units import DEG_PER_RAD
@@ -62,7 +61,7 @@ def _result(
         gain = np.diag(fit.correction.matrix)[:2].mean() * 0.5 * float(fit.state[GAIN][:2].sum())
         horizontal *= float(gain)
     vertical = float(fit.state[VERTICAL])
-    result = CalibrationResult(
+    return CalibrationResult(
         instance=instance,
         method="four-positions",
         accepted=not reasons,
@@ -84,5 +83,4 @@ def _result(
             Position(float(turned) * DEG_PER_RAD, dwell.mean_mgauss, dwell.samples, residual)
             for turned, dwell, residual in zip(data.turned_rad, data.dwells, fit.residual_mgauss, strict=True)
         ),
-    )
-    return compared(result)
+    ).compared()

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mavcompass.calibration.observation import correction_at
+from mavcompass.calibration.result import DEFAULT_LIMITS, Limits
 from mavcompass.calibration.rigid import DEFAULT_PRIOR, IronPrior
-from mavcompass.calibration.verdict import DEFAULT_LIMITS, Limits
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.track import Track

@@ -16,8 +16,19 @@ from mavcompass.frames import FloatArray, level_to_body, wrap_pi
 from mavcompass.heading.compute import tilt_compensated_heading
 from mavcompass.heading.deviation import DeviationCard, deviation_card
 
+UNCERTAIN = "The heading would be uncertain"
 # What no further position lowers.
 _NOT_AVERAGED = (ACCELEROMETER, "disagreement")
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Set what is accepted: the predicted heading error in degrees, 1 sigma rms over the circle."""
+
+    heading_deg: float = 2.0
+
+
+DEFAULT_LIMITS = Limits()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,6 +179,31 @@ class CalibrationResult:
         if error is not None:
             error = HeadingError(error.state, error.covariance * (sigma_deg / self.heading_sigma_deg) ** 2)
         return replace(self, heading_sigma_deg=sigma_deg, heading_budget_deg=budget, heading_error=error)
+
+    def compared(self) -> CalibrationResult:
+        """Add what changes in the heading from the correction in force."""
+        change_deg = np.degrees(self.change_rad())
+        rms, largest = math.sqrt(float((change_deg**2).mean())), float(np.abs(change_deg).max())
+        return replace(self, heading_change_deg=rms, heading_change_max_deg=largest)
+
+    def within(self, limits: Limits, why: str = "") -> CalibrationResult:
+        """Accept it with no reason against it and a sigma within the limit; `why` is what widened that."""
+        reasons, sigma_deg = self.reasons, self.heading_sigma_deg
+        if not sigma_deg <= limits.heading_deg and not any(UNCERTAIN in reason for reason in reasons):
+            uncertain = f"{UNCERTAIN} by {sigma_deg:.1f} degrees (limit {limits.heading_deg:g})."
+            reasons = (*reasons, why or uncertain)
+        return replace(self, reasons=reasons, accepted=not reasons)
+
+    def at_least(self, scatter_rad: float, limits: Limits) -> CalibrationResult:
+        """Claim no less than a heading scatter that was seen to be left, and judge again by it."""
+        scatter = math.degrees(scatter_rad)
+        if scatter <= self.heading_sigma_deg:
+            return self
+        left = (
+            f"The corrected heading would still scatter by {scatter:.1f} degrees about the gyro's "
+            f"(limit {limits.heading_deg:g}): motors, something magnetic, or manoeuvres not followed."
+        )
+        return self.widened(scatter, "disturbance").within(limits, left)
 
     def to_json(self) -> dict[str, Any]:
         """Return the entry of `compasses` in the calibration JSON; nan becomes null."""

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from mavcompass.calibration.model import GAIN, HORIZONTAL
 from mavcompass.calibration.observation import Dwell, FourPositionData
 from mavcompass.calibration.positions import WIDENED_BELOW, FourPositionsResult
+from mavcompass.calibration.result import DEFAULT_LIMITS, Limits
 from mavcompass.frames import FloatArray
 from mavcompass.units import DEG_PER_RAD
 
@@ -30,16 +30,6 @@ SOURCE_WORDS = {
     "disturbance": "something magnetic that changed between the positions",
     "prior": "too few positions for all that is unknown (turn through four)",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """Set what is accepted: the predicted heading error in degrees, 1 sigma rms over the circle."""
-
-    heading_deg: float = 2.0
-
-
-DEFAULT_LIMITS = Limits()
 
 
 def judge(

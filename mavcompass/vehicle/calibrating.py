@@ -6,8 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from mavcompass.calibration import calibrate_compasses
-from mavcompass.calibration.result import CalibrationResult
-from mavcompass.calibration.verdict import Limits
+from mavcompass.calibration.result import CalibrationResult, Limits
 from mavcompass.earth_field import EarthField
 from mavcompass.procedure.calibrate import CalibrateSettings, Services, Solve, calibrate
 from mavcompass.procedure.positions import Window

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mavcompass.calibration.fits.textbook import four_positions_textbook
+from mavcompass.calibration.methods.four_positions_textbook import four_positions_textbook
 from mavcompass.calibration.model import level_to_body
 from mavcompass.calibration.observation import Dwell, FourPositionData, Step
 from mavcompass.calibration.observation.wire import unquantise

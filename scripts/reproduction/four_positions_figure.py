@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.calibration.fits.textbook import four_positions_textbook, min_max
+from mavcompass.calibration.methods.four_positions_textbook import four_positions_textbook
+from mavcompass.calibration.methods.min_max import min_max
 from mavcompass.frames import wrap_pi
 
 Array = NDArray[np.float64]

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mavcompass.calibration.fits.textbook import sensitivity_bias
+from mavcompass.calibration.methods.sensitivity_bias import sensitivity_bias
 
 HORIZONTAL_GAUSS = 0.28
 BICYCLE = (-0.284, 0.402, -0.322, 0.246)
@@ -71,7 +71,7 @@ def _figure(target: Path, title: str, turn: np.ndarray) -> dict[str, Any]:
 def bicycle() -> dict[str, Any]:
     """Work the paper's example."""
     solved = sensitivity_bias(*BICYCLE)
-    ours = (solved.x_sensitivity, solved.x_bias, solved.y_sensitivity, solved.y_bias)
+    ours = (solved.gain[0], solved.bias[0], solved.gain[1], solved.bias[1])
     names = ("Xs", "Xb", "Ys", "Yb")
     return {
         "about": "the steel bicycle's sensitivities and biases, gauss",

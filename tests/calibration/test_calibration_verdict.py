@@ -11,7 +11,8 @@ import pytest
 
 from mavcompass.calibration.model import GAIN, HORIZONTAL
 from mavcompass.calibration.positions import WIDENED_BELOW
-from mavcompass.calibration.verdict import Limits, judge, largest_gap_rad, share_words
+from mavcompass.calibration.result import Limits
+from mavcompass.calibration.verdict import judge, largest_gap_rad, share_words
 from mavcompass.units import DEG_PER_RAD, RAD_PER_DEG
 
 H = 200.0

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from mavcompass.calibration.observation import Dwell, FourPositionData, Step
+from mavcompass.calibration.result import DEFAULT_LIMITS
 from mavcompass.calibration.rigid import DEFAULT_PRIOR
-from mavcompass.calibration.verdict import DEFAULT_LIMITS
 from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.check import CheckSettings
 from mavcompass.procedure.learnt import LearntSettings

@@ -1,25 +1,70 @@
-"""What the level methods share: a full turn's readings, and a compensation of two axes as a result."""
+"""What the level methods share: a full turn's readings, and a compensation of two axes as a result.
+
+[Skula] D. Skula, "New method for magnetometer offset compensation": eq. 1 to 7.
+[Memsense] "nIMU - uIMU Bias and Sensitivity Corrections of Magnetometers", revision 1; its equations
+are not numbered.
+
+The two differ in sign and in which axis keeps the gain 1: [Skula] subtracts an offset and scales the
+weaker axis up; [Memsense] adds a bias and lets the user choose, advising the stronger axis. Both are
+kept, and both are a `LevelCompensation`. Readings may be in any unit; biases come back in the same.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from mavcompass.calibration.comparison import UNCERTAIN, compared, within
-from mavcompass.calibration.fits.textbook import ScaleOffset, SensitivityBias
 from mavcompass.calibration.judged import calibrate_positions
 from mavcompass.calibration.observation import FourPositionData, observe, uncorrected_field
 from mavcompass.calibration.recorded import Recorded
-from mavcompass.calibration.result import CalibrationResult, Position, heading_change_rad
+from mavcompass.calibration.result import UNCERTAIN, CalibrationResult, Position, heading_change_rad
 from mavcompass.calibration.verdict import largest_gap_rad
+from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
 from mavcompass.heading.compute import level_heading
 from mavcompass.units import DEG_PER_RAD
 
 _WIDEST_GAP_RAD = math.radians(60.0)
+
+
+@dataclass(frozen=True, slots=True)
+class LevelCompensation:
+    """Hold a compensation of two axes, gain * reading + bias; an offset H' = H gain - offset is -bias."""
+
+    gain: tuple[float, float]
+    bias: tuple[float, float]
+
+    @classmethod
+    def about(cls, centre: FloatArray, amplitude: FloatArray) -> LevelCompensation:
+        """Scale the weaker axis (2,) up to the stronger: "or 1, what is bigger" ([Skula] eq. 2, 3 and 7).
+
+        Raises PoorCalibration where an axis does not change.
+        """
+        require_change(amplitude)
+        x, y = (max(float(amplitude[i - 1] / amplitude[i]), 1.0) for i in (0, 1))
+        return cls((x, y), (-float(centre[0]) * x, -float(centre[1]) * y))
+
+    def apply(self, readings: ArrayLike) -> FloatArray:
+        """Compensate readings (..., 2 or 3), (..., 2)."""
+        return np.asarray(readings, dtype=np.float64)[..., :2] * self.gain + np.array(self.bias)
+
+    def correction(self, z_offset_mgauss: float = 0.0, z_diagonal: float = 1.0) -> FieldCorrection:
+        """Express it as a field correction, M (raw + offsets) with M diagonal, offsets = bias / gain."""
+        x, y = (bias / gain for bias, gain in zip(self.bias, self.gain, strict=True))
+        return FieldCorrection((x, y, float(z_offset_mgauss)), (*self.gain, float(z_diagonal)))
+
+
+def require_change(span: FloatArray) -> None:
+    """Raise PoorCalibration for an axis of which the span, (2,), is none."""
+    if not (span > 0.0).all():
+        raise PoorCalibration(
+            "An axis of the compass did not change at all during the turn.",
+            "Turn the vehicle all the way round, and check that the compass is alive.",
+        )
 
 
 def readings(recorded: Recorded) -> FloatArray:
@@ -57,7 +102,7 @@ def full_turn(recorded: Recorded) -> FloatArray:
 def level_result(
     recorded: Recorded,
     method: str,
-    compensation: ScaleOffset | SensitivityBias,
+    compensation: LevelCompensation,
     data: FourPositionData | None,
     positions: tuple[Position, ...] = (),
     warnings: tuple[str, ...] = (),
@@ -88,7 +133,7 @@ def level_result(
         vertical_mgauss=vertical,
         positions=positions,
     )
-    return within(_against_best(compared(result), data, recorded), recorded.limits)
+    return _against_best(result.compared(), data, recorded).within(recorded.limits)
 
 
 def _against_best(

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from mavcompass.calibration.comparison import at_least
-from mavcompass.calibration.fits.length import fit_ellipsoid
-from mavcompass.calibration.methods._length import length_result
+from mavcompass.calibration.methods._length import fit_ellipsoid, length_result
 from mavcompass.calibration.motion.observed import Motion, observe_motion
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult
@@ -26,4 +24,4 @@ def calibrate_witnessed(recorded: Recorded, motion: Motion | None) -> Calibratio
     result = length_result(recorded, "ellipsoid", lambda raw: fit_ellipsoid(raw, total))
     if motion is None:
         return result
-    return at_least(result, motion.scatter_left_rad(result.correction), recorded.limits)
+    return result.at_least(motion.scatter_left_rad(result.correction), recorded.limits)

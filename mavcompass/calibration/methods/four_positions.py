@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from mavcompass.calibration.comparison import at_least
 from mavcompass.calibration.judged import calibrate_positions
 from mavcompass.calibration.motion.findings import sparse_words
 from mavcompass.calibration.motion.observed import Motion, observe_motion
@@ -48,7 +47,7 @@ def _witnessed(result: CalibrationResult, recorded: Recorded, motion: Motion | N
         return result
     if not result.accepted and (sparse := sparse_words(motion.sections)):
         return replace(result, reasons=(sparse,))
-    return at_least(result, motion.scatter_left_rad(result.correction), recorded.limits)
+    return result.at_least(motion.scatter_left_rad(result.correction), recorded.limits)
 
 
 def _solved(recorded: Recorded, data: FourPositionData) -> CalibrationResult:

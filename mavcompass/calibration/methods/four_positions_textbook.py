@@ -1,14 +1,14 @@
-"""Four positions 90 degrees apart, as published ([Skula] eq. 4 to 7)."""
+"""Four positions 90 degrees apart, as published ([Skula] eq. 4 to 7, see `_level`)."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from mavcompass.calibration.fits.textbook import FourReadings, four_positions_textbook
-from mavcompass.calibration.methods._level import level_result, still_positions
+from mavcompass.calibration.methods._level import LevelCompensation, level_result, still_positions
 from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult, Position
@@ -16,6 +16,53 @@ from mavcompass.errors import PoorCalibration
 from mavcompass.units import DEG_PER_RAD
 
 _RIGHT_ANGLE_SLACK_RAD = math.radians(30.0)
+
+
+@dataclass(frozen=True, slots=True)
+class FourReadings:
+    """Hold [Skula]'s solution of one axis, H_k = A sin(alpha + 90 k) + c.
+
+    Attributes:
+        amplitude, offset: A and c. alpha_rad: the first position's angle.
+        left_over: (H1 - H2 + H3 - H4) / 4, which the model makes zero: the free check of step errors and
+            of anything that moved.
+    """
+
+    amplitude: float
+    offset: float
+    alpha_rad: float
+    left_over: float
+
+
+def four_readings(readings: ArrayLike) -> FourReadings:
+    """Solve one axis from its readings (4,) at four positions 90 degrees apart: [Skula] eq. 4 to 6.
+
+    As printed, alpha = arctan((H1 - H3) / (H2 - H4)) loses the quadrant and A = (H1 - H3) / (2 sin alpha)
+    divides by zero at alpha = 0. Here alpha is atan2 of the two differences and A half their length,
+    the same numbers where the print works. The printed c uses H1 and H3; here it is the mean of both
+    opposite pairs, which halves the noise.
+    """
+    h1, h2, h3, h4 = (float(v) for v in np.asarray(readings, dtype=np.float64))
+    return FourReadings(
+        amplitude=0.5 * math.hypot(h1 - h3, h2 - h4),
+        offset=0.25 * (h1 + h2 + h3 + h4),
+        alpha_rad=math.atan2(h1 - h3, h2 - h4),
+        left_over=0.25 * (h1 - h2 + h3 - h4),
+    )
+
+
+def four_positions_textbook(
+    readings: ArrayLike,
+) -> tuple[LevelCompensation, tuple[FourReadings, FourReadings]]:
+    """Compensate two axes from readings (4, 2 or 3) at positions 90 degrees apart: [Skula] eq. 7.
+
+    Returns the compensation and each axis's own solution with its left-over equation.
+    Raises PoorCalibration where an axis does not change.
+    """
+    r = np.asarray(readings, dtype=np.float64)
+    x, y = four_readings(r[:, 0]), four_readings(r[:, 1])
+    offsets, amplitudes = np.array([x.offset, y.offset]), np.array([x.amplitude, y.amplitude])
+    return LevelCompensation.about(offsets, amplitudes), (x, y)
 
 
 def calibrate(recorded: Recorded) -> CalibrationResult:

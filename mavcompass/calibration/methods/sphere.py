@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from mavcompass.calibration.fits.length import fit_sphere
-from mavcompass.calibration.methods._length import length_result
+from mavcompass.calibration.methods._length import fit_sphere, length_result
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult
 

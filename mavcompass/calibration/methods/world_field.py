@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from mavcompass.calibration.comparison import compared, within
 from mavcompass.calibration.model import (
     GAIN,
     HORIZONTAL,
@@ -82,36 +81,34 @@ def calibrate_motion(motion: Motion) -> CalibrationResult:
     if motion.reference is None:
         unknown = "No yaw reference was recorded; the gyro's turned angle was used with an unknown start."
         warnings = (unknown, *warnings)
-    result = compared(
-        CalibrationResult(
-            instance=recorded.instance,
-            method="world-field",
-            accepted=False,
-            reasons=reasons,
-            warnings=warnings,
-            raw_offset_mgauss=-np.asarray(correction.offsets_mgauss),
-            correction=correction,
-            in_force=recorded.in_force,
-            covariance_names=COVARIANCE_NAMES,
-            covariance=honest.error.covariance,
-            not_observable=("mounting_yaw",) if motion.reference is None else (),
-            residual_rms_mgauss=math.sqrt(float((motion.fit.residual_mgauss**2).mean())),
-            heading_sigma_deg=math.degrees(math.hypot(sigma, mounting)),
-            heading_budget_deg={
-                "noise": math.degrees(min(honest.noise_rad, sigma)),
-                ACCELEROMETER: math.degrees(min(honest.accelerometer_rad, sigma)),
-                "disturbance": math.degrees(
-                    math.sqrt(max(sigma**2 - honest.noise_rad**2 - honest.accelerometer_rad**2, 0.0))
-                ),
-                "mounting": math.degrees(mounting),
-            },
-            heading_error=honest.error,
-            loads=motion.loads,
-            horizontal_mgauss=float(honest.state[HORIZONTAL]),
-            vertical_mgauss=float(honest.state[VERTICAL]),
-        )
+    result = CalibrationResult(
+        instance=recorded.instance,
+        method="world-field",
+        accepted=False,
+        reasons=reasons,
+        warnings=warnings,
+        raw_offset_mgauss=-np.asarray(correction.offsets_mgauss),
+        correction=correction,
+        in_force=recorded.in_force,
+        covariance_names=COVARIANCE_NAMES,
+        covariance=honest.error.covariance,
+        not_observable=("mounting_yaw",) if motion.reference is None else (),
+        residual_rms_mgauss=math.sqrt(float((motion.fit.residual_mgauss**2).mean())),
+        heading_sigma_deg=math.degrees(math.hypot(sigma, mounting)),
+        heading_budget_deg={
+            "noise": math.degrees(min(honest.noise_rad, sigma)),
+            ACCELEROMETER: math.degrees(min(honest.accelerometer_rad, sigma)),
+            "disturbance": math.degrees(
+                math.sqrt(max(sigma**2 - honest.noise_rad**2 - honest.accelerometer_rad**2, 0.0))
+            ),
+            "mounting": math.degrees(mounting),
+        },
+        heading_error=honest.error,
+        loads=motion.loads,
+        horizontal_mgauss=float(honest.state[HORIZONTAL]),
+        vertical_mgauss=float(honest.state[VERTICAL]),
     )
-    return within(result, recorded.limits)
+    return result.compared().within(recorded.limits)
 
 
 def held_in_force(state: FloatArray, covariance: FloatArray, in_force: FieldCorrection) -> FloatArray:

@@ -85,7 +85,7 @@ def solve(
 def learn(pieces: list[Any], instances: tuple[int, ...], earth: Any, limit_deg: float) -> dict[int, Any]:
     """Tell what pieces of a recording show of each compass: a `Learnt`, or why there is none."""
     from mavcompass.calibration.calibrate import learn_compasses
-    from mavcompass.calibration.verdict import Limits
+    from mavcompass.calibration.result import Limits
     from mavcompass.track import joined
 
     found = learn_compasses(joined(pieces), instances, earth, Limits(heading_deg=limit_deg))

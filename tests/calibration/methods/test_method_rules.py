@@ -12,13 +12,11 @@ import pytest
 from calibration_worlds import FIELD, Iron, turning_track
 
 from mavcompass.calibration import calibrate_track
-from mavcompass.calibration.comparison import at_least, compared
 from mavcompass.calibration.methods import auto
 from mavcompass.calibration.model import HeadingError
 from mavcompass.calibration.motion.reference import reference_turn
 from mavcompass.calibration.recorded import Recorded
-from mavcompass.calibration.result import CalibrationResult
-from mavcompass.calibration.verdict import DEFAULT_LIMITS
+from mavcompass.calibration.result import DEFAULT_LIMITS, CalibrationResult
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import euler_to_quaternion
@@ -64,7 +62,7 @@ def test_two_methods_that_are_both_sure_have_to_agree(
 
 
 def test_a_change_from_what_is_in_force_is_told_rms_and_at_most() -> None:
-    told = compared(result(off_deg=2.0))
+    told = result(off_deg=2.0).compared()
     assert told.heading_change_deg == pytest.approx(2.0, rel=0.01)
     assert told.heading_change_max_deg == pytest.approx(2.0 * math.sqrt(2.0), rel=0.01)
 
@@ -77,13 +75,13 @@ def test_no_less_is_claimed_than_was_seen(scatter_deg: float, claimed_deg: float
     state[3:6], state[9] = 1.0, H
     error = HeadingError(state, 1e-4 * np.eye(9))
     before = result(heading_error=error, heading_budget_deg={"noise": 0.4, "disturbance": 0.3})
-    told = at_least(before, math.radians(scatter_deg), DEFAULT_LIMITS)
+    told = before.at_least(math.radians(scatter_deg), DEFAULT_LIMITS)
     assert told.heading_sigma_deg == pytest.approx(claimed_deg) and told.accepted is accepted
     assert math.hypot(*told.heading_budget_deg.values()) == pytest.approx(claimed_deg)
     assert told.heading_error is not None
     assert told.heading_error.rms_rad() == pytest.approx(error.rms_rad() * claimed_deg / 0.5)
     assert bool(told.reasons) is not accepted
-    alone = at_least(result(), math.radians(1.0), DEFAULT_LIMITS).heading_budget_deg
+    alone = result().at_least(math.radians(1.0), DEFAULT_LIMITS).heading_budget_deg
     assert alone == pytest.approx({"disturbance": math.sqrt(1.0 - 0.5**2)})
 
 

@@ -12,11 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavcompass.calibration import StillnessDetector, calibrate_positions
-from mavcompass.calibration.fits.textbook import (
-    four_positions_textbook,
-    min_max,
-    sensitivity_bias,
-)
+from mavcompass.calibration.methods.four_positions_textbook import four_positions_textbook
+from mavcompass.calibration.methods.min_max import min_max
+from mavcompass.calibration.methods.sensitivity_bias import sensitivity_bias
 from mavcompass.calibration.observation.detector import Stillness
 from mavcompass.calibration.positions import next_pose
 from mavcompass.correction import FieldCorrection
@@ -31,7 +29,7 @@ STRONG = FieldCorrection((120.0, -80.0, 40.0), (1.1, 0.9, 1.0))
 
 def test_the_bicycle_comes_out_as_printed() -> None:
     bicycle = sensitivity_bias(-0.284, 0.402, -0.322, 0.246)
-    printed = (bicycle.x_sensitivity, bicycle.x_bias, bicycle.y_sensitivity, bicycle.y_bias)
+    printed = (bicycle.gain[0], bicycle.bias[0], bicycle.gain[1], bicycle.bias[1])
     assert [round(v, 3) for v in printed] == [1.0, -0.059, 1.208, 0.046]
 
 

@@ -7,15 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from mavcompass.calibration.fits.textbook import (
-    ScaleOffset,
-    SensitivityBias,
-    four_positions_textbook,
-    four_readings,
-    min_max,
-    sensitivity_bias,
-    set_reset_offset,
-)
+from mavcompass.calibration.methods._level import LevelCompensation
+from mavcompass.calibration.methods.four_positions_textbook import four_positions_textbook, four_readings
+from mavcompass.calibration.methods.min_max import min_max, set_reset_offset
+from mavcompass.calibration.methods.sensitivity_bias import sensitivity_bias
 from mavcompass.errors import PoorCalibration
 
 RAW = np.array([[100.0, -40.0, 7.0], [-300.0, 90.0, 7.0]])
@@ -38,12 +33,8 @@ def test_four_readings_of_a_sine_give_its_amplitude_offset_and_angle(alpha: floa
     assert four_readings(readings + np.array([4.0, 0.0, 8.0, 0.0])).left_over == pytest.approx(3.0)
 
 
-@pytest.mark.parametrize(
-    "form",
-    [ScaleOffset(1.5, 1.0, 30.0, -20.0), SensitivityBias(1.5, 1.0, -30.0, 20.0)],
-    ids=["Skula", "Memsense"],
-)
-def test_both_forms_are_one_correction(form: ScaleOffset | SensitivityBias) -> None:
+def test_a_compensation_is_a_correction() -> None:
+    form = LevelCompensation((1.5, 1.0), (-30.0, 20.0))
     expected = [[1.5 * 100.0 - 30.0, -40.0 + 20.0], [1.5 * -300.0 - 30.0, 90.0 + 20.0]]
     assert form.apply(RAW).tolist() == expected
     correction = form.correction()
@@ -55,10 +46,10 @@ def test_both_forms_are_one_correction(form: ScaleOffset | SensitivityBias) -> N
 def test_the_weaker_axis_is_scaled_up_about_the_middle_of_its_extremes() -> None:
     turn = np.array([[10.0, -50.0], [210.0, 0.0], [110.0, 50.0], [60.0, -150.0]])
     found = min_max(turn)
-    assert (found.x_scale, found.y_scale) == (1.0, 1.0) and (found.x_offset, found.y_offset) == (110.0, -50.0)
+    assert found == LevelCompensation((1.0, 1.0), (-110.0, 50.0))
     weak = min_max(turn * [0.5, 1.0])
-    assert (weak.x_scale, weak.y_scale) == (2.0, 1.0) and weak.x_offset == 2.0 * 55.0
-    assert min_max(turn * [1.0, 0.5]).y_scale == 2.0
+    assert weak.gain == (2.0, 1.0) and weak.bias[0] == -2.0 * 55.0
+    assert min_max(turn * [1.0, 0.5]).gain == (1.0, 2.0)
 
 
 @pytest.mark.parametrize(
@@ -68,11 +59,11 @@ def test_sensitivities_bring_both_spans_together(
     unity: str, x_sensitivity: float, y_sensitivity: float
 ) -> None:
     found = sensitivity_bias(10.0, 210.0, -150.0, -50.0, unity)  # type: ignore[arg-type]
-    assert (found.x_sensitivity, found.y_sensitivity) == (x_sensitivity, y_sensitivity)
+    assert found.gain == (x_sensitivity, y_sensitivity)
     ends = found.apply([[10.0, -150.0], [210.0, -50.0]])
     assert ends[0] == pytest.approx(-ends[1]) and ends[1, 0] == ends[1, 1]
     swapped = sensitivity_bias(-150.0, -50.0, 10.0, 210.0)
-    assert (swapped.x_sensitivity, swapped.y_sensitivity) == (2.0, 1.0)
+    assert swapped.gain == (2.0, 1.0)
 
 
 def test_an_axis_that_does_not_change_has_no_scale() -> None:
@@ -92,21 +83,14 @@ def test_the_unit_does_not_matter(size: float) -> None:
     """Gauss, milligauss, or the counts of a sensor."""
     turn = size * np.array([[-0.284, 0.0], [0.402, 0.0], [0.0, -0.322], [0.0, 0.246]])
     found = min_max(turn)
-    assert found.x_scale == 1.0 and found.y_scale == pytest.approx(0.686 / 0.568)
-    assert found.x_offset == pytest.approx(0.059 * size)
+    assert found.gain == pytest.approx((1.0, 0.686 / 0.568))
+    assert found.bias[0] == pytest.approx(-0.059 * size)
     memsense = sensitivity_bias(*(size * np.array([-0.284, 0.402, -0.322, 0.246])))
-    assert (memsense.x_sensitivity, memsense.y_sensitivity) == pytest.approx((1.0, 0.686 / 0.568))
-    assert memsense.x_bias == pytest.approx(-0.059 * size) and memsense.y_bias == pytest.approx(
-        0.0459 * size, rel=2e-3
-    )
+    assert memsense.gain == pytest.approx((1.0, 0.686 / 0.568))
+    assert memsense.bias == pytest.approx((-0.059 * size, 0.0459 * size), rel=2e-3)
 
 
 def test_of_axes_that_are_alike_either_is_one() -> None:
     for unity in ("stronger", "x", "y"):
         found = sensitivity_bias(-1.0, 3.0, 5.0, 9.0, unity)  # type: ignore[arg-type]
-        assert (found.x_sensitivity, found.y_sensitivity, found.x_bias, found.y_bias) == (
-            1.0,
-            1.0,
-            -1.0,
-            -7.0,
-        )
+        assert found == LevelCompensation((1.0, 1.0), (-1.0, -7.0))
