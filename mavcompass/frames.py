@@ -34,6 +34,12 @@ def circular_mean(angle_rad: ArrayLike) -> float:
     return float(np.angle(total)) if abs(total) > 0.0 else math.nan
 
 
+def circle_covered_rad(angle_rad: ArrayLike) -> float:
+    """Return how much of the circle angles (N,) cover: all but their widest gap."""
+    ordered = np.sort(np.asarray(angle_rad, dtype=np.float64) % (2.0 * math.pi))
+    return 2.0 * math.pi - float(np.diff(ordered, append=ordered[0] + 2.0 * math.pi).max())
+
+
 def euler_to_matrix(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> FloatArray:
     """Build body-to-world rotation matrices, shape (..., 3, 3), from aerospace Euler angles."""
     roll, pitch, yaw = np.broadcast_arrays(

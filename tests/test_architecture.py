@@ -90,11 +90,8 @@ ROWS = {
         {"evidence"},
         {"methods"},
         {"motion"},
-        {"judged"},
-        {"recorded", "verdict"},
-        {"result"},
-        {"positions"},
-        {"rigid"},
+        {"positions", "recorded"},
+        {"result", "rigid"},
         {"observation", "model"},
     ],
     "service": [

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mavcompass.frames import FloatArray, level_to_body
+from mavcompass.heading.compute import level_field
 
 # The sigma of a heading of which nothing is known: all of the circle is as likely.
 NO_HEADING_RAD = math.pi / math.sqrt(3.0)
@@ -33,6 +34,8 @@ HORIZONTAL, VERTICAL, GYRO_SCALE, GYRO_BIAS = 9, 10, 11, 12
 MOTOR = slice(13, 16)
 LAG = 16
 HEADINGS = 17
+# The source of a heading's error that no further position averages out.
+ACCELEROMETER = "accelerometer"
 NAMES = (
     "offset_x",
     "offset_y",
@@ -85,14 +88,7 @@ def by_tilt(mapping: FloatArray, state: FloatArray, headings_rad: FloatArray) ->
     `mapping` takes level axes to body axes, (K, 3, 3).
     """
     horizontal, gain = state[HORIZONTAL], gain_matrix(state[GAIN])
-    level = np.stack(
-        [
-            horizontal * np.cos(headings_rad),
-            -horizontal * np.sin(headings_rad),
-            np.full(headings_rad.size, state[VERTICAL]),
-        ],
-        axis=1,
-    )
+    level = level_field(headings_rad, horizontal, state[VERTICAL])
     x, y, z = np.einsum("kij,kj->ik", mapping, level)
     zero = np.zeros_like(x)
     by_roll = np.stack([zero, z, -y], axis=1) @ gain.T
@@ -105,14 +101,10 @@ def heading_gradient(
 ) -> FloatArray:
     """Return the heading's derivative by offsets and gains, (N, 9), at magnetic headings (N,) (eq. M2)."""
     psi = np.atleast_1d(np.asarray(heading_rad, dtype=np.float64))
-    horizontal, vertical = state[HORIZONTAL], state[VERTICAL]
-    tilt = level_to_body(roll_rad, pitch_rad)
-    level = np.stack(
-        [horizontal * np.cos(psi), -horizontal * np.sin(psi), np.full(psi.size, vertical)], axis=1
-    )
-    body = level @ tilt.T
-    across = np.stack([np.sin(psi), np.cos(psi), np.zeros(psi.size)], axis=1) @ tilt.T
-    weights = across @ np.linalg.inv(gain_matrix(state[GAIN])) / horizontal
+    to_level = level_to_body(roll_rad, pitch_rad).T
+    body = level_field(psi, state[HORIZONTAL], state[VERTICAL]) @ to_level
+    across = np.stack([np.sin(psi), np.cos(psi), np.zeros(psi.size)], axis=1) @ to_level
+    weights = across @ np.linalg.inv(gain_matrix(state[GAIN])) / state[HORIZONTAL]
     by_gain = np.einsum("ni,nij->nj", weights, gain_jacobian(body))
     return np.concatenate([weights, by_gain], axis=1)
 

@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from mavcompass.calibration.model import NO_HEADING_RAD, HeadingError
-from mavcompass.calibration.positions.budget import ACCELEROMETER
+from mavcompass.calibration.model import ACCELEROMETER, NO_HEADING_RAD, HeadingError
 from mavcompass.correction import IDENTITY, FieldCorrection
-from mavcompass.frames import FloatArray, level_to_body, wrap_pi
-from mavcompass.heading.compute import tilt_compensated_heading
-from mavcompass.heading.deviation import DeviationCard, deviation_card
+from mavcompass.frames import FloatArray
+from mavcompass.heading.deviation import DeviationCard, deviation_card, heading_change_rad
 
 UNCERTAIN = "The heading would be uncertain"
 # What no further position lowers.
@@ -318,49 +316,3 @@ def _numbers(values: Any) -> list[float | None]:
 def surest(results: Sequence[CalibrationResult]) -> CalibrationResult:
     """Return the result whose heading is known best, the first of equals."""
     return min(results, key=lambda r: r.heading_sigma_deg if math.isfinite(r.heading_sigma_deg) else math.inf)
-
-
-def heading_change_rad(
-    old: FieldCorrection,
-    new: FieldCorrection,
-    horizontal_mgauss: float,
-    vertical_mgauss: float,
-    roll_rad: float = 0.0,
-    pitch_rad: float = 0.0,
-    turned: FloatArray | None = None,
-    load: float = 0.0,
-) -> FloatArray:
-    """Return by how much the heading changes from `old` to `new` at 72 true headings, tilt and load, (72,).
-
-    The field is taken to be what `new` makes of the raw readings, so for a good `new` this is the
-    error of `old`. Both are for readings in the same axes; `turned` (3, 3) is the rotation into these from
-    the axes in which the old heading was taken.
-    """
-    seen, psi = seen_by_old(old, new, horizontal_mgauss, vertical_mgauss, roll_rad, pitch_rad, load)
-    seen = seen @ (np.eye(3) if turned is None else turned)
-    return np.asarray(wrap_pi(tilt_compensated_heading(seen, roll_rad=roll_rad, pitch_rad=pitch_rad) - psi))
-
-
-def seen_by_old(
-    old: FieldCorrection,
-    new: FieldCorrection,
-    horizontal_mgauss: float,
-    vertical_mgauss: float,
-    roll_rad: float = 0.0,
-    pitch_rad: float = 0.0,
-    load: float = 0.0,
-) -> tuple[FloatArray, FloatArray]:
-    """Return what `old` makes, (72, 3), of raw readings of which `new` makes the Earth's field, and the true
-    headings."""
-    psi = np.arange(72) * (2.0 * math.pi / 72)
-    level = np.stack(
-        [
-            horizontal_mgauss * np.cos(psi),
-            -horizontal_mgauss * np.sin(psi),
-            np.full(72, vertical_mgauss),
-        ],
-        axis=1,
-    )
-    field_mgauss = level @ level_to_body(roll_rad, pitch_rad).T
-    raw = new.undo(field_mgauss, load if new.motor_source != "none" else None)
-    return old.apply(raw, load if old.motor_source != "none" else None), np.asarray(psi)

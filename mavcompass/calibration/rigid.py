@@ -38,6 +38,8 @@ _STEPS = 40
 _DAMPING, _FIRST_DAMPING, _MOST_DAMPING = 1e-12, 1e-3, 1e3
 # A step of this many sigmas, or one that lowers the cost by this share, settles nothing more.
 _SETTLED_SIGMAS, _SETTLED_SHARE = 1e-5, 1e-8
+# Before the data: most compasses away from steel have no cross terms that matter.
+CROSS_TERMS_BEFORE = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,19 +73,20 @@ class Readings:
     """Hold K mean readings of a compass and the K - 1 turns between them.
 
     Attributes:
+        middle_s: when they were taken, in the middle, (K,).
         mean_mgauss: raw field, (K, 3). mapping: A of (M1), level axes to body axes, (K, 3, 3); by_lag: its
             change per second of the field's lag. load: of the motors, (K,), less its mean.
-        step_rad, step_sigma_rad, step_s: the gyro's turns, their sigma without its scale and bias, and how
-            long they took, (K - 1,).
+        turned_rad: the gyro's angle then, (K,), clockwise. step_sigma_rad: of the K - 1 turns between,
+            without the gyro's scale and bias.
     """
 
+    middle_s: FloatArray
     mean_mgauss: FloatArray
     mapping: FloatArray
     by_lag: FloatArray
     load: FloatArray
-    step_rad: FloatArray
+    turned_rad: FloatArray
     step_sigma_rad: FloatArray
-    step_s: FloatArray
 
     def __len__(self) -> int:
         """Count the readings."""
@@ -114,25 +117,23 @@ class Readings:
 
     def turns(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the whitened residuals of the turns, (K - 1,), and their derivative by the state."""
-        turn, sigma = np.diff(x[HEADINGS:]), self.step_sigma_rad
+        turn, lasted_s, sigma = np.diff(x[HEADINGS:]), np.diff(self.middle_s), self.step_sigma_rad
         scale = 1.0 + x[GYRO_SCALE]
         rows = np.arange(len(turn))
         jacobian = np.zeros((len(turn), x.size))
         jacobian[rows, HEADINGS + rows + 1] = scale / sigma
         jacobian[rows, HEADINGS + rows] = -scale / sigma
         jacobian[:, GYRO_SCALE] = turn / sigma
-        jacobian[:, GYRO_BIAS] = self.step_s / sigma
-        return (scale * turn + x[GYRO_BIAS] * self.step_s - self.step_rad) / sigma, jacobian
+        jacobian[:, GYRO_BIAS] = lasted_s / sigma
+        return (scale * turn + x[GYRO_BIAS] * lasted_s - np.diff(self.turned_rad)) / sigma, jacobian
 
     def with_one_more(
         self, mean_mgauss: FloatArray, mapping: FloatArray, step_rad: float, sigma_rad: float, lasts_s: float
     ) -> Readings:
         """Add a reading at mean load, and the turn to it."""
-        grown = zip(
-            self.__slots__,
-            (mean_mgauss, mapping, np.zeros((3, 3)), 0.0, step_rad, sigma_rad, lasts_s),
-            strict=True,
-        )
+        at_s, turned = self.middle_s[-1] + lasts_s, self.turned_rad[-1] + step_rad
+        row = (at_s, mean_mgauss, mapping, np.zeros((3, 3)), 0.0, turned, sigma_rad)
+        grown = zip(self.__slots__, row, strict=True)
         return replace(self, **{n: np.concatenate([getattr(self, n), [value]]) for n, value in grown})
 
 
@@ -257,3 +258,54 @@ def common_error(whitened: FloatArray, covariance: FloatArray, jacobian: FloatAr
     """
     rows = whitened.reshape(-1, whitened.shape[2])
     return np.asarray(covariance @ jacobian[: len(rows)].T @ rows)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Blend:
+    """Hold a fit as far as its cross terms are believed; `shared` errors, (P, M), are in its covariance."""
+
+    state: FloatArray
+    covariance: FloatArray
+    shared: FloatArray
+    cross_probability: tuple[float, float]
+
+
+def weigh_cross_terms(
+    state: FloatArray, covariance: FloatArray, prior: IronPrior, shared: FloatArray | None = None
+) -> Blend:
+    """Weigh 'there are cross terms' against 'there are a sensor's own at the most' and blend the two.
+
+    Both are one Gaussian: with the narrow prior is the fit with one more observation, that they are 0 within
+    `narrow`, 1 / own^2 = 1 / cross^2 + 1 / narrow^2. The odds are the density of that observation after over
+    that before the data (Savage and Dickey), times the prior odds. Where the data cannot tell, the blend
+    costs less than either: a cross term that is not there is not paid for.
+
+    No sensor's axes are square to nothing: taken for exactly so, a tilt that all readings share, which shows
+    like a cross term, would count as known.
+
+    `shared` (P, M) are errors of the state, one sigma each, that are no cross terms and tell nothing of them.
+    """
+    shared = np.zeros((state.size, 0)) if shared is None else shared
+    horizontal, state, covariance, shared = _spike_and_slab(state, covariance, shared, [6], prior)
+    vertical, state, covariance, shared = _spike_and_slab(state, covariance, shared, [7, 8], prior)
+    return Blend(state, covariance + shared @ shared.T, shared, (horizontal, vertical))
+
+
+def _spike_and_slab(
+    state: FloatArray, covariance: FloatArray, shared: FloatArray, index: list[int], prior: IronPrior
+) -> tuple[float, FloatArray, FloatArray, FloatArray]:
+    """Blend a Gaussian with itself under the narrow prior of `state[index]`; P(wide) and the blend."""
+    narrow2 = 1.0 / (prior.own_cross_sigma**-2.0 - prior.cross_sigma**-2.0)
+    block = covariance[np.ix_(index, index)] + narrow2 * np.eye(len(index))
+    value = state[index]
+    gain = covariance[:, index] @ np.linalg.inv(block)
+    posterior = -0.5 * float(value @ np.linalg.solve(block, value)) - 0.5 * float(np.linalg.slogdet(block)[1])
+    before = -0.5 * len(index) * math.log(prior.cross_sigma**2 + narrow2)
+    odds = math.log((1.0 - CROSS_TERMS_BEFORE) / CROSS_TERMS_BEFORE)
+    log_odds = min(max(posterior - before + odds, -700.0), 700.0)
+    spike = 1.0 / (1.0 + math.exp(-log_odds))
+    shift = -gain @ value
+    blended = state + spike * shift
+    reduced = covariance - spike * gain @ covariance[index, :]
+    spread = spike * (1.0 - spike) * np.outer(shift, shift)
+    return 1.0 - spike, blended, reduced + spread, shared - spike * gain @ shared[index]

@@ -284,8 +284,8 @@ def heading_between_deg(old: Row, new: Row) -> float | None:
 
     None where the field they are to be compared on is not known.
     """
-    from mavcompass.calibration.result import heading_change_rad
     from mavcompass.correction import FieldCorrection
+    from mavcompass.heading.deviation import heading_change_rad
 
     horizontal, vertical = new["field_horizontal_mgauss"], new["field_vertical_mgauss"]
     if horizontal is None or vertical is None:

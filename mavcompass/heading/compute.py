@@ -23,6 +23,13 @@ def level_heading(field_mgauss: ArrayLike) -> Any:
     return wrap_two_pi(np.arctan2(-field[..., 1], field[..., 0]))
 
 
+def level_field(heading_rad: ArrayLike, horizontal: ArrayLike, vertical: ArrayLike) -> FloatArray:
+    """Return a field as a level vehicle sees it, (..., 3): forward, right, down, at magnetic headings (...)."""
+    psi = np.asarray(heading_rad, dtype=np.float64)
+    parts = np.broadcast_arrays(horizontal * np.cos(psi), -(horizontal * np.sin(psi)), vertical)
+    return np.stack(parts, axis=-1)
+
+
 def tilt_compensated_heading(
     field_mgauss: ArrayLike,
     acc_mps2: ArrayLike | None = None,
@@ -48,9 +55,7 @@ def tilt_compensated_heading(
     else:
         acc = np.asarray(acc_mps2, dtype=np.float64)
     field, acc = np.broadcast_arrays(field, acc)
-    if field.ndim == 2:
-        return _blocks(field, acc)
-    return wrap_two_pi(np.arctan2(*_east_north(field, acc)))
+    return _blocks(field.reshape(-1, 3), acc.reshape(-1, 3)).reshape(field.shape[:-1])
 
 
 def _specific_force(roll: FloatArray, pitch: FloatArray) -> FloatArray:
@@ -58,15 +63,6 @@ def _specific_force(roll: FloatArray, pitch: FloatArray) -> FloatArray:
     return np.stack(
         np.broadcast_arrays(np.sin(pitch), -cos_pitch * np.sin(roll), -cos_pitch * np.cos(roll)), axis=-1
     )
-
-
-def _east_north(field: FloatArray, acc: FloatArray) -> tuple[FloatArray, FloatArray]:
-    fx, fy, fz = field[..., 0], field[..., 1], field[..., 2]
-    ax, ay, az = acc[..., 0], acc[..., 1], acc[..., 2]
-    across = ay * ay + az * az
-    east = (az * fy - ay * fz) * np.sqrt(across + ax * ax)
-    north = fx * across - ax * (ay * fy + az * fz)
-    return east, north
 
 
 def _blocks(field: FloatArray, acc: FloatArray) -> FloatArray:

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mavcompass.correction import FieldCorrection
-from mavcompass.frames import FloatArray, wrap_pi
-from mavcompass.heading.compute import level_heading
+from mavcompass.frames import FloatArray, level_to_body, wrap_pi
+from mavcompass.heading.compute import level_field, level_heading, tilt_compensated_heading
 
 LETTERS = "ABCDE"
 
@@ -41,18 +41,8 @@ class DeviationCard:
 
 
 def _terms(heading_rad: ArrayLike) -> FloatArray:
-    heading_rad = np.asarray(heading_rad, dtype=np.float64)
-    one = np.ones_like(heading_rad)
-    return np.stack(
-        [
-            one,
-            np.sin(heading_rad),
-            np.cos(heading_rad),
-            np.sin(2.0 * heading_rad),
-            np.cos(2.0 * heading_rad),
-        ],
-        axis=-1,
-    )
+    psi = np.asarray(heading_rad, dtype=np.float64)
+    return np.stack([np.ones_like(psi), *(f(k * psi) for k in (1.0, 2.0) for f in (np.sin, np.cos))], axis=-1)
 
 
 def fit_deviation(compass_rad: ArrayLike, magnetic_rad: ArrayLike, headings: int = 8) -> DeviationCard:
@@ -92,16 +82,8 @@ def deviation_card(
     compass from the same turn. The deviations are computed exactly at the card's headings; the
     coefficients summarise them. `sigma_rad` (72,) is the calibration's sigma at 72 even headings.
     """
-    psi = np.arange(72) * (2.0 * math.pi / 72)
-    field = np.stack(
-        [
-            horizontal_mgauss * np.cos(psi),
-            -horizontal_mgauss * np.sin(psi),
-            np.full(72, vertical_mgauss),
-        ],
-        axis=1,
-    )
-    shown = np.asarray(level_heading(used.apply(true.undo(field))))
+    seen, psi = seen_by_old(used, true, horizontal_mgauss, vertical_mgauss)
+    shown = np.asarray(level_heading(seen))
     fitted = fit_deviation(shown, psi, headings)
     card = np.radians(fitted.compass_deg)
     order = np.argsort(shown)
@@ -110,3 +92,41 @@ def deviation_card(
     if sigma_rad is not None:
         sigma = np.degrees(np.interp(card, shown[order], np.asarray(sigma_rad)[order], period=2.0 * math.pi))
     return DeviationCard(fitted.compass_deg, exact, fitted.coefficients_deg, fitted.residual_deg, sigma)
+
+
+def heading_change_rad(
+    old: FieldCorrection,
+    new: FieldCorrection,
+    horizontal_mgauss: float,
+    vertical_mgauss: float,
+    roll_rad: float = 0.0,
+    pitch_rad: float = 0.0,
+    turned: FloatArray | None = None,
+    load: float = 0.0,
+) -> FloatArray:
+    """Return by how much the heading changes from `old` to `new` at 72 true headings, tilt and load, (72,).
+
+    The field is taken to be what `new` makes of the raw readings, so for a good `new` this is the
+    error of `old`. Both are for readings in the same axes; `turned` (3, 3) is the rotation into these from
+    the axes in which the old heading was taken.
+    """
+    seen, psi = seen_by_old(old, new, horizontal_mgauss, vertical_mgauss, roll_rad, pitch_rad, load)
+    seen = seen @ (np.eye(3) if turned is None else turned)
+    return np.asarray(wrap_pi(tilt_compensated_heading(seen, roll_rad=roll_rad, pitch_rad=pitch_rad) - psi))
+
+
+def seen_by_old(
+    old: FieldCorrection,
+    new: FieldCorrection,
+    horizontal_mgauss: float,
+    vertical_mgauss: float,
+    roll_rad: float = 0.0,
+    pitch_rad: float = 0.0,
+    load: float = 0.0,
+) -> tuple[FloatArray, FloatArray]:
+    """Return what `old` makes, (72, 3), of raw readings of which `new` makes the Earth's field, and the true
+    headings."""
+    psi = np.arange(72) * (2.0 * math.pi / 72)
+    field_mgauss = level_field(psi, horizontal_mgauss, vertical_mgauss) @ level_to_body(roll_rad, pitch_rad).T
+    raw = new.undo(field_mgauss, load if new.motor_source != "none" else None)
+    return old.apply(raw, load if old.motor_source != "none" else None), psi

@@ -15,7 +15,7 @@ from mavcompass.earth_field import earth_field_of as earth_field_of
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, circular_mean, tilt_from_acceleration
 from mavcompass.gravity import require_gravity
-from mavcompass.heading.compute import tilt_compensated_heading
+from mavcompass.heading.compute import level_field, tilt_compensated_heading
 from mavcompass.heading.doubt import TILT_SIGMA_RAD, CalibrationDoubt, heading_sigma_rad, prior_sigma_mgauss
 from mavcompass.heading.fault_isolation import HeadingSource, isolate_faults
 from mavcompass.heading.north import grid_heading, true_heading
@@ -149,7 +149,7 @@ def _magnetic_sigma(
     vertical = np.einsum("ij,ij->i", field, down)
     horizontal = np.sqrt(np.maximum((field**2).sum(axis=1) - vertical**2, 1.0))
     usual = world.horizontal_mgauss if world is not None else float(np.median(horizontal))
-    level = np.stack([horizontal * np.cos(magnetic), -horizontal * np.sin(magnetic), vertical], axis=1)
+    level = level_field(magnetic, horizontal, vertical)
     doubt = CalibrationDoubt(prior_sigma_mgauss(calibrated, usual), world)
     doubt.add_all(level)
     steep = np.full(len(field), abs(world.ned_mgauss[2])) if world is not None else np.abs(vertical)

@@ -26,7 +26,7 @@ from mavcompass.calibration.model import level_to_body
 from mavcompass.calibration.observation import Dwell, FourPositionData, Step
 from mavcompass.calibration.observation.wire import unquantise
 from mavcompass.calibration.positions import FourPositionsResult, solve_four_positions
-from mavcompass.calibration.verdict import judge
+from mavcompass.calibration.positions.verdict import judge
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray, wrap_pi

@@ -21,7 +21,7 @@ sys.path[:0] = [str(PROJECT), str(PROJECT / "tests" / "calibration")]
 from calibration_worlds import FIELD, Iron, four_positions  # noqa: E402
 
 from mavcompass.calibration.positions import PositionProblem  # noqa: E402
-from mavcompass.calibration.positions.fit import fit_positions  # noqa: E402
+from mavcompass.calibration.positions.problem import fit_positions  # noqa: E402
 from mavcompass.calibration.rigid import DEFAULT_PRIOR  # noqa: E402
 from mavcompass.correction import IDENTITY  # noqa: E402
 from mavcompass.errors import PoorCalibration  # noqa: E402

@@ -12,11 +12,12 @@ from calibration_worlds import FIELD, Iron, turning_track
 from mavcompass.calibration import calibrate_compasses, calibrate_track
 from mavcompass.calibration.mounting import turned_compass
 from mavcompass.calibration.observation import turn_record
-from mavcompass.calibration.result import CalibrationResult, heading_change_rad
+from mavcompass.calibration.result import CalibrationResult
 from mavcompass.compass_parameters import sensor_to_body
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import earth_field_of
 from mavcompass.frames import FloatArray, euler_to_matrix, sensor_orientation_matrix, wrap_pi
+from mavcompass.heading.deviation import heading_change_rad
 from mavcompass.track import InForce, Series, Track
 
 EXTERNAL = {"COMPASS_EXTERNAL": 1.0, "COMPASS_EXTERN2": 1.0, "COMPASS_EXTERN3": 1.0, "COMPASS_ORIENT": 0.0}

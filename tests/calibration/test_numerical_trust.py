@@ -100,9 +100,8 @@ def test_sections_and_turns_have_their_derivatives(seed: int) -> None:
     x[GAIN], x[HORIZONTAL], x[VERTICAL] = (1.1, 0.9, 1.0, 0.02, -0.01, 0.03), 230.0, -520.0
     x[:3], x[13:HEADINGS] = rng.normal(0.0, 50.0, 3), 0.01 * rng.normal(size=HEADINGS - 13)
     x[HEADINGS:] = rng.uniform(-3.0, 3.0, 4)
-    readings = sections.readings
-    assert is_derivative(-readings.field(x)[1], derivative(lambda y: readings.field(y)[0], x))
-    assert is_derivative(readings.turns(x)[1], derivative(lambda y: readings.turns(y)[0], x))
+    assert is_derivative(-sections.field(x)[1], derivative(lambda y: sections.field(y)[0], x))
+    assert is_derivative(sections.turns(x)[1], derivative(lambda y: sections.turns(y)[0], x))
 
 
 @FEW
@@ -116,7 +115,7 @@ def test_a_tilted_section_reads_what_its_derivative_says(seed: int) -> None:
     by = by_tilt(sections.mapping, x, x[HEADINGS:])
     for axis in range(2):
         turned = replace(sections, mapping=level_to_body(*(h * np.eye(2)[axis])) @ sections.mapping)
-        moved = sections.readings.field(x)[0] - turned.readings.field(x)[0]
+        moved = sections.field(x)[0] - turned.field(x)[0]
         assert np.allclose(moved / h, by[:, :, axis], atol=0.01)
 
 
@@ -129,6 +128,7 @@ def drawn_sections(rng: np.random.Generator, count: int) -> Sections:
         "load": rng.uniform(0.0, 5.0, count),
         "turned_rad": np.cumsum(rng.uniform(-1.5, 1.5, count)),
         "step_sigma_rad": rng.uniform(0.001, 0.05, count - 1),
+        "middle_s": 10.0 * np.arange(count) + 2.5,
         "start_s": 10.0 * np.arange(count),
         "end_s": 10.0 * np.arange(count) + 5.0,
     }

@@ -252,31 +252,28 @@ def length_result(
             f"The compass pointed to only {100.0 * fit.coverage:.0f} % of all directions. Turn it every way, "
             "or use the four-position method."
         )
-    return (
-        CalibrationResult(
-            instance=instance,
-            method=method,
-            accepted=False,
-            reasons=tuple(reasons),
-            raw_offset_mgauss=fit.centre_mgauss,
-            correction=correction,
-            in_force=in_force,
-            covariance_names=names,
-            covariance=covariance,
-            not_observable=("mounting_yaw",),
-            residual_rms_mgauss=fit.residual_rms_mgauss,
-            heading_sigma_deg=math.degrees(sigma),
-            heading_budget_deg={
-                "noise": math.degrees(error.rms_rad()),
-                "disturbance": math.degrees(fit.residual_relative * fit.length_mgauss / horizontal),
-            },
-            heading_error=error,
-            horizontal_mgauss=horizontal,
-            vertical_mgauss=vertical,
-        )
-        .compared()
-        .within(recorded.limits)
+    result = CalibrationResult(
+        instance=instance,
+        method=method,
+        accepted=False,
+        reasons=tuple(reasons),
+        raw_offset_mgauss=fit.centre_mgauss,
+        correction=correction,
+        in_force=in_force,
+        covariance_names=names,
+        covariance=covariance,
+        not_observable=("mounting_yaw",),
+        residual_rms_mgauss=fit.residual_rms_mgauss,
+        heading_sigma_deg=math.degrees(sigma),
+        heading_budget_deg={
+            "noise": math.degrees(error.rms_rad()),
+            "disturbance": math.degrees(fit.residual_relative * fit.length_mgauss / horizontal),
+        },
+        heading_error=error,
+        horizontal_mgauss=horizontal,
+        vertical_mgauss=vertical,
     )
+    return result.compared().within(recorded.limits)
 
 
 def _split(

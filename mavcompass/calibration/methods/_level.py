@@ -17,15 +17,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mavcompass.calibration.judged import calibrate_positions
 from mavcompass.calibration.observation import FourPositionData, observe, uncorrected_field
+from mavcompass.calibration.positions.verdict import calibrate_positions
 from mavcompass.calibration.recorded import Recorded
-from mavcompass.calibration.result import UNCERTAIN, CalibrationResult, Position, heading_change_rad
-from mavcompass.calibration.verdict import largest_gap_rad
+from mavcompass.calibration.result import UNCERTAIN, CalibrationResult, Position
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, circle_covered_rad
 from mavcompass.heading.compute import level_heading
+from mavcompass.heading.deviation import heading_change_rad
 from mavcompass.units import DEG_PER_RAD
 
 _WIDEST_GAP_RAD = math.radians(60.0)
@@ -90,7 +90,7 @@ def full_turn(recorded: Recorded) -> FloatArray:
     low, high = np.percentile(raw[:, :2], [0.5, 99.5], axis=0)
     span = np.maximum(high - low, 1e-9)
     angles = level_heading((raw[:, :2] - 0.5 * (low + high)) / span)
-    gap = largest_gap_rad(angles)
+    gap = 2.0 * math.pi - circle_covered_rad(angles)
     if gap > _WIDEST_GAP_RAD:
         raise PoorCalibration(
             f"The vehicle did not turn all the way round: {math.degrees(gap):.0f} degrees are missing.",

@@ -9,12 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from mavcompass.calibration.methods import ellipsoid, four_positions, world_field
-from mavcompass.calibration.motion.changes import Change, calm_since_s, last_stretch, since
+from mavcompass.calibration.motion.left_out import Change, calm_since_s, last_stretch, since
 from mavcompass.calibration.motion.observed import Motion, observe_motion
 from mavcompass.calibration.recorded import Recorded
-from mavcompass.calibration.result import CalibrationResult, heading_change_rad, surest
+from mavcompass.calibration.result import CalibrationResult, surest
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
+from mavcompass.heading.deviation import heading_change_rad
 
 # Two methods that are both sure must agree within so many of their sigmas.
 _AGREE_SIGMAS, _AGREE_DEG = 3.0, 2.0

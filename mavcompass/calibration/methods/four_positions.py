@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from mavcompass.calibration.judged import calibrate_positions
 from mavcompass.calibration.motion.findings import sparse_words
 from mavcompass.calibration.motion.observed import Motion, observe_motion
 from mavcompass.calibration.observation import FourPositionData, assemble, dwell_between, observe, turn_record
+from mavcompass.calibration.positions.verdict import calibrate_positions
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.errors import PoorCalibration

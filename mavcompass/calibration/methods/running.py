@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcompass.calibration.methods.world_field import calibrate_motion
-from mavcompass.calibration.motion.changes import Change, last_stretch, since
+from mavcompass.calibration.motion.left_out import Change, last_stretch, since
 from mavcompass.calibration.motion.observed import Motion, observe_motion
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mavcompass.calibration.model import (
+    ACCELEROMETER,
     GAIN,
     HORIZONTAL,
     MOTOR,
@@ -18,9 +19,8 @@ from mavcompass.calibration.model import (
 )
 from mavcompass.calibration.motion.findings import findings
 from mavcompass.calibration.motion.honesty import weigh_honestly
+from mavcompass.calibration.motion.left_out import without_disturbed_stop
 from mavcompass.calibration.motion.observed import Motion, observe_motion
-from mavcompass.calibration.motion.stops import without_disturbed_stop
-from mavcompass.calibration.positions.budget import ACCELEROMETER
 from mavcompass.calibration.positions.observability import hardly_known
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult

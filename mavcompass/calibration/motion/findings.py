@@ -10,9 +10,9 @@ from mavcompass.calibration.model import GAIN, GYRO_SCALE, HORIZONTAL, MOTOR, NO
 from mavcompass.calibration.motion.fit import MotionFit
 from mavcompass.calibration.motion.honesty import Honesty
 from mavcompass.calibration.motion.sections import Sections
-from mavcompass.calibration.verdict import share_words
+from mavcompass.calibration.positions.verdict import share_words
 from mavcompass.earth_field import EarthField
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, circle_covered_rad
 from mavcompass.units import DEG_PER_RAD
 
 # A gain this far from 1 is told; a compass that differs from the Earth's field by more is not believed.
@@ -51,7 +51,7 @@ def findings(
     sparse = sparse_words(sections)
     if sparse and honest.error.rms_rad() * DEG_PER_RAD > _SCATTER_TOLD_DEG:
         reasons.append(sparse)
-    seen = circle_seen_rad(fit.headings_rad)
+    seen = circle_covered_rad(fit.headings_rad)
     if seen < LEAST_CIRCLE_RAD:
         reasons.append(
             f"The vehicle pointed to only {seen * DEG_PER_RAD:.0f} degrees of the circle. "
@@ -84,12 +84,6 @@ def findings(
         )
     warnings += [words for words in (_gyro_words(fit), _kept_out_words(sections, fit)) if words]
     return tuple(reasons), tuple(warnings)
-
-
-def circle_seen_rad(headings_rad: FloatArray) -> float:
-    """Return how much of the circle headings cover: all but their widest gap, radians."""
-    ordered = np.sort(np.mod(headings_rad, 2.0 * math.pi))
-    return 2.0 * math.pi - float(np.diff(np.concatenate([ordered, [ordered[0] + 2.0 * math.pi]])).max())
 
 
 def sparse_words(sections: Sections) -> str:

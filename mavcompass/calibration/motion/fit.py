@@ -20,19 +20,19 @@ from mavcompass.calibration.model import (
     HORIZONTAL,
     MOTOR,
     OFFSET,
+    VERTICAL,
     HeadingError,
     by_tilt,
     gain_matrix,
 )
-from mavcompass.calibration.motion.equations import first_state, section_variance
 from mavcompass.calibration.motion.sections import Sections
 from mavcompass.calibration.rigid import (
     IronPrior,
     PriorRows,
-    Readings,
     assembled,
     common_error,
     covariance_of,
+    prior_rows,
     settle,
 )
 from mavcompass.correction import FieldCorrection
@@ -50,6 +50,9 @@ _MOST_DISTURBED = 0.3
 _FEWEST = 4
 # With a larger error of the model there is nothing to refine.
 _HOPELESS_MGAUSS = 500.0
+_STARTS, _CLOSELY = 12, 11
+# What is linear in the state once the headings are given: offset, gain, motors.
+_LINEAR = np.r_[0:9, 13:16]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,13 +128,12 @@ def fit_motion(
     motor_sigma = _MOTOR_SIGMA[load_source]
     beliefs = prior or IronPrior()
     x, rules = first_state(sections, earth, beliefs, motor_sigma, in_force)
-    readings = sections.readings
-    model = _first_model_error(readings, x)
+    model = _first_model_error(sections, x)
     sound = np.ones(len(sections))
     for _ in range(_ROUNDS):
         variance = section_variance(sections, x, model)
-        x = settle(readings, x, _roots(variance, sound), rules, _STEPS_A_ROUND)
-        residual, _ = readings.field(x)
+        x = settle(sections, x, _roots(variance, sound), rules, _STEPS_A_ROUND)
+        residual, _ = sections.field(x)
         # How much a section counts beside others of its visit says nothing of how far out it is.
         fresh = _soundness(sections, residual, section_variance(sections, x, model, weighed=False))
         grown = _model_error(sections, x, residual, fresh, rules)
@@ -141,13 +143,13 @@ def fit_motion(
             break
     variance = section_variance(sections, x, model)
     roots = _roots(variance, sound)
-    x = settle(readings, x, roots, rules)
-    values, jacobian = assembled(readings, x, roots, rules)
-    measured = 4 * len(readings) - 1
+    x = settle(sections, x, roots, rules)
+    values, jacobian = assembled(sections, x, roots, rules)
+    measured = 4 * len(sections) - 1
     return MotionFit(
         state=x,
         covariance=covariance_of(jacobian),
-        residual_mgauss=readings.field(x)[0],
+        residual_mgauss=sections.field(x)[0],
         variance_mgauss2=variance,
         model_mgauss=model,
         sound=sound,
@@ -158,10 +160,89 @@ def fit_motion(
     )
 
 
+def section_variance(
+    sections: Sections, x: FloatArray, model_mgauss: float, weighed: bool = True
+) -> FloatArray:
+    """Return the covariance of each section's mean, (K, 3, 3): noise, whole numbers, tilt, model error.
+
+    `weighed`: what the sections of one visit share is multiplied, so that together they count once.
+    """
+    leaning = by_tilt(sections.mapping, x, x[HEADINGS:])
+    tilt = leaning @ np.swapaxes(leaning, 1, 2)
+    alike = (model_mgauss**2 + sections.hidden_mgauss**2)[:, :, np.newaxis] * np.eye(3)
+    shared = tilt * sections.tilt_sigma_rad[:, np.newaxis, np.newaxis] ** 2 + alike
+    white = (sections.noise_mgauss**2 / sections.samples)[:, np.newaxis, np.newaxis] * np.eye(3)
+    return np.asarray(
+        (sections.repeats if weighed else np.ones(len(sections)))[:, np.newaxis, np.newaxis] * shared + white
+    )
+
+
+def first_state(
+    sections: Sections,
+    earth: EarthField | None,
+    prior: IronPrior,
+    motor_sigma: float,
+    in_force: FieldCorrection | None,
+) -> tuple[FloatArray, PriorRows]:
+    """Find a first state: the first heading is tried all round, the rest is linear then.
+
+    Half a turn away and all gains negative the field is the same, and only the prior tells: near the best and
+    opposite to it the heading is tried closely, so that what it is off by weighs less than that.
+    """
+    if earth is not None:
+        horizontal, vertical = earth.horizontal_mgauss, float(earth.ned_mgauss[2])
+    else:
+        field = (in_force or FieldCorrection()).apply(sections.mean_mgauss)
+        swing = np.percentile(field[:, :2], 95, axis=0) - np.percentile(field[:, :2], 5, axis=0)
+        horizontal, vertical = max(0.5 * float(swing.max()), 1.0), float(np.median(field[:, 2]))
+    rules = prior_rows(
+        len(sections),
+        prior,
+        earth,
+        in_force,
+        vertical,
+        (sections.scale_sigma, sections.bias_sigma_radps),
+        motor_sigma,
+    )
+    x = np.zeros(HEADINGS + len(sections))
+    x[GAIN], x[HORIZONTAL], x[VERTICAL] = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0), horizontal, vertical
+
+    def tried(starts_rad: FloatArray) -> FloatArray:
+        trials = []
+        for start in starts_rad:
+            x[HEADINGS:] = start + sections.turned_rad - sections.turned_rad[0]
+            trials.append(_linear(sections, x, rules, 0.1 * horizontal))
+        return min(trials, key=lambda trial: trial[1])[0]
+
+    step = 2.0 * math.pi / _STARTS
+    near = (
+        tried(step * np.arange(_STARTS, dtype=np.float64))[HEADINGS] + np.linspace(-0.5, 0.5, _CLOSELY) * step
+    )
+    return tried(np.concatenate([near, near + math.pi])), rules
+
+
+def _linear(sections: Sections, x: FloatArray, rules: PriorRows, noise: float) -> tuple[FloatArray, float]:
+    """Solve for the linear part at the headings of `x`, robustly; returns the state and its cost."""
+    x, weights, cost = x.copy(), np.ones(len(sections)), math.inf
+    residual, by = sections.field(x)
+    by, held = by[:, :, _LINEAR] / noise, rules.rows[:, _LINEAR]
+    residual = residual / noise
+    for _ in range(3):
+        weighed = (by * weights[:, np.newaxis, np.newaxis]).reshape(-1, _LINEAR.size)
+        normal = weighed.T @ by.reshape(-1, _LINEAR.size) + held.T @ held
+        step = np.linalg.solve(normal, weighed.T @ residual.ravel() - held.T @ rules.of(x))
+        x[_LINEAR] += step
+        residual = residual - by @ step
+        size = np.linalg.norm(residual, axis=1)
+        weights = 1.0 / np.maximum(1.0, size / max(2.0 * float(np.median(size)), 1e-6 / noise))
+        cost = float((weights * size**2).sum()) + float((rules.of(x) ** 2).sum())
+    return x, cost
+
+
 def leaning_error(sections: Sections, fit: MotionFit) -> FloatArray:
     """Return what the accelerometer's own error, the same all along, adds to the state, (P, 2).
 
-    By roll and by pitch, one sigma each; see `positions.fit.common_error`.
+    By roll and by pitch, one sigma each; see `rigid.common_error`.
     """
     leaning = by_tilt(sections.mapping, fit.state, fit.headings_rad) * sections.tilt_bias_rad
     return common_error(_roots(fit.variance_mgauss2, fit.sound) @ leaning, fit.covariance, fit.jacobian)
@@ -186,7 +267,7 @@ def level_headings(sections: Sections, fit: MotionFit, load_shift: float = 0.0) 
 def residual_of(sections: Sections, fit: MotionFit) -> FloatArray:
     """Return what a fit leaves of other sections of the same recording, (K, 3), at their best headings."""
     x = np.concatenate([fit.state[:HEADINGS], level_headings(sections, fit)])
-    return sections.readings.field(x)[0]
+    return sections.field(x)[0]
 
 
 def _roots(variance: FloatArray, sound: FloatArray) -> FloatArray:
@@ -212,9 +293,9 @@ def _square(residual: FloatArray, variance: FloatArray) -> FloatArray:
     return np.asarray((residual * np.linalg.solve(variance, residual[:, :, np.newaxis])[:, :, 0]).sum(axis=1))
 
 
-def _first_model_error(readings: Readings, x: FloatArray) -> float:
+def _first_model_error(sections: Sections, x: FloatArray) -> float:
     """Return the size of the first residuals' inner half, so that no outlier rules the start."""
-    residual, _ = readings.field(x)
+    residual, _ = sections.field(x)
     return min(float(np.median(np.abs(residual))) / 0.6745, _HOPELESS_MGAUSS)
 
 
@@ -227,7 +308,7 @@ def _model_error(
     """
     absorbed = _absorbed(sections, x, sound, rules)
     freedom = float(3.0 * sound.sum() + len(sections) - 1 - absorbed)
-    turns, _ = sections.readings.turns(x)
+    turns, _ = sections.turns(x)
     if freedom < 1.0:
         return 0.0
     # Turns that are bent beyond their noise are pulled by sections: these will, with their error, let go.
@@ -253,7 +334,7 @@ def _model_error(
 def _absorbed(sections: Sections, x: FloatArray, sound: FloatArray, rules: PriorRows) -> float:
     """Count what the fit absorbs of the measurements: parameters less what the prior holds."""
     roots = _roots(section_variance(sections, x, 1.0), sound)
-    _, jacobian = assembled(sections.readings, x, roots, rules)
+    _, jacobian = assembled(sections, x, roots, rules)
     return x.size - float(((rules.rows @ covariance_of(jacobian)) * rules.rows).sum())
 
 

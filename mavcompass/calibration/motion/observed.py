@@ -9,11 +9,10 @@ import numpy as np
 
 from mavcompass.attitude import LASTS_S, levels
 from mavcompass.calibration.model import MOTOR
-from mavcompass.calibration.motion.findings import LEAST_CIRCLE_RAD, circle_seen_rad, sparse_words
+from mavcompass.calibration.motion.findings import LEAST_CIRCLE_RAD, sparse_words
 from mavcompass.calibration.motion.fit import MotionFit, fit_motion, level_headings, sigma_of
-from mavcompass.calibration.motion.reference import ReferenceTurn, reference_turn
-from mavcompass.calibration.motion.scatter import motors_left_rad, scatter_left_rad
-from mavcompass.calibration.motion.sections import Sections, cut_sections
+from mavcompass.calibration.motion.honesty import motors_left_rad, scatter_left_rad
+from mavcompass.calibration.motion.sections import ReferenceTurn, Sections, cut_sections, reference_turn
 from mavcompass.calibration.observation import (
     accelerometer_of,
     centred,
@@ -25,7 +24,7 @@ from mavcompass.calibration.observation.turning import TurnRecord
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.correction import FieldCorrection, MotorSource
 from mavcompass.errors import PoorCalibration
-from mavcompass.frames import FloatArray, wrap_pi
+from mavcompass.frames import FloatArray, circle_covered_rad, wrap_pi
 from mavcompass.track import Track
 
 # A load that varies less than this shows no motor field.
@@ -104,7 +103,7 @@ class Motion:
         middle = len(self.sections) // 2
         first, second = self.sections.rows(0, middle), self.sections.rows(middle, len(self.sections))
         for half in (first, second):
-            if len(half) < _FEWEST_OF_HALF or circle_seen_rad(half.turned_rad) < LEAST_CIRCLE_RAD:
+            if len(half) < _FEWEST_OF_HALF or circle_covered_rad(half.turned_rad) < LEAST_CIRCLE_RAD:
                 return None
         return first, second
 

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.attitude import Levels, levels
-from mavcompass.calibration.motion.reference import ReferenceTurn
 from mavcompass.calibration.observation import field_lag_s
 from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD
 from mavcompass.calibration.observation.turning import (
@@ -26,7 +25,7 @@ from mavcompass.calibration.observation.turning import (
 )
 from mavcompass.calibration.observation.wire import effective_count, hidden_in_runs
 from mavcompass.calibration.rigid import Readings
-from mavcompass.frames import FloatArray, level_to_body, tilt_from_acceleration
+from mavcompass.frames import FloatArray, level_to_body, quaternion_to_matrix, tilt_from_acceleration
 from mavcompass.track import Series, Track
 
 _WIDEST_TURN_RAD = math.radians(20.0)
@@ -44,66 +43,38 @@ _SPARSE_S, _WORST_SPARSE = 0.2, 5.0
 _DENSE_S = 0.1
 _LOAD_STEP = 0.15
 _PARAMETERS_SETTLE_S = 2.0
+# One sigma of a reference's yaw, and how often it has to be told.
+_OPTICAL_SIGMA_RAD, _GPS_SIGMA_RAD = math.radians(0.3), math.radians(0.7)
+_FEWEST = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sections:
-    """Hold K sections of one compass's recording, in time order.
+class Sections(Readings):
+    """Hold K sections of one compass's recording, in time order, as readings of equation S1.
 
     Attributes:
-        start_s, end_s: (K,). mean_mgauss: raw field, (K, 3). samples: fresh readings, (K,).
+        start_s, end_s: (K,). samples: fresh readings, (K,).
         noise_mgauss: white noise of one reading. hidden_mgauss: by whole numbers, in each mean, (K, 3).
-        mapping: A of equation S1, (K, 3, 3). by_lag: its change per second of the field's lag, (K, 3, 3).
         tilt_sigma_rad: what is not known of roll and pitch, (K,).
         tilt_bias_rad: what its source is off by all along, 1 sigma.
-        turned_rad: the gyro's angle at the middles, (K,), clockwise.
-        step_sigma_rad: of the K - 1 differences of `turned_rad`, without the gyro's scale and bias.
         bias_sigma_radps, scale_sigma: of the gyro, common to all.
-        load: motor load, (K,), less its mean, `load_mean`; zeros where none was recorded.
+        load_mean: the mean that was taken off the load; both are zero where none was recorded.
         repeats: how many sections make one visit of a heading, (K,): they share what is wrong there.
         gyro_rate_hz: how often the rate was recorded.
     """
 
     start_s: FloatArray
     end_s: FloatArray
-    mean_mgauss: FloatArray
     samples: FloatArray
     noise_mgauss: float
     hidden_mgauss: FloatArray
-    mapping: FloatArray
-    by_lag: FloatArray
     tilt_sigma_rad: FloatArray
     tilt_bias_rad: float
-    turned_rad: FloatArray
-    step_sigma_rad: FloatArray
     bias_sigma_radps: float
     scale_sigma: float
-    load: FloatArray
     load_mean: float
     repeats: FloatArray
     gyro_rate_hz: float
-
-    def __len__(self) -> int:
-        """Count the sections."""
-        return len(self.mean_mgauss)
-
-    @property
-    def middle_s(self) -> FloatArray:
-        """Return the middles in time, (K,)."""
-        return 0.5 * (self.start_s + self.end_s)
-
-    @property
-    def readings(self) -> Readings:
-        """Return their means and the turns between them."""
-        return Readings(
-            mean_mgauss=self.mean_mgauss,
-            mapping=self.mapping,
-            by_lag=self.by_lag,
-            load=self.load,
-            step_rad=np.diff(self.turned_rad),
-            step_sigma_rad=self.step_sigma_rad,
-            step_s=np.diff(self.middle_s),
-        )
 
     def between(self, start_s: float, end_s: float) -> Sections:
         """Keep the sections whose middle lies between two times."""
@@ -125,6 +96,53 @@ class Sections:
         if len(kept) > 1:
             steps = np.sqrt(np.add.reduceat(self.step_sigma_rad[: kept[-1]] ** 2, kept[:-1]))
         return replace(self, **cut, step_sigma_rad=steps)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReferenceTurn:
+    """Hold a reference's true yaw as a turn, what is not known of it, and its tilt."""
+
+    record: TurnRecord
+    sigma_rad: float
+    own: Levels | None = None
+
+    def levels(self, track: Track) -> Levels:
+        """Return roll and pitch by the reference, or by the recording where it tells yaw only."""
+        return self.own or levels(track)
+
+
+def reference_turn(track: Track) -> ReferenceTurn | None:
+    """Return the recording's reference as a turn; None where it has none."""
+    if track.reference_q is not None and len(track.reference_q) >= _FEWEST:
+        time, q = track.reference_q.time_s, np.asarray(track.reference_q.values)
+        to_world = quaternion_to_matrix(q / np.linalg.norm(q, axis=1, keepdims=True))
+        yaw = np.unwrap(np.arctan2(to_world[:, 1, 0], to_world[:, 0, 0]))
+        sigma = Series.of(time, np.full(time.size, _OPTICAL_SIGMA_RAD))
+        return ReferenceTurn(
+            _record(time, yaw), _OPTICAL_SIGMA_RAD, Levels(Series.of(time, to_world[:, 2, :]), sigma)
+        )
+    if track.gps_yaw_rad is None:
+        return None
+    known = np.isfinite(track.gps_yaw_rad.values)
+    if int(known.sum()) < _FEWEST:
+        return None
+    return ReferenceTurn(
+        _record(track.gps_yaw_rad.time_s[known], np.unwrap(track.gps_yaw_rad.values[known])), _GPS_SIGMA_RAD
+    )
+
+
+def _record(time: FloatArray, yaw: FloatArray) -> TurnRecord:
+    return TurnRecord(
+        time_s=time,
+        angle_rad=yaw,
+        rate_radps=np.gradient(yaw, time),
+        tilt_rate_radps=np.zeros(time.size),
+        bias_radps=0.0,
+        bias_sigma_radps=1e-9,
+        noise_radps=0.0,
+        walk_rad=0.0,
+        interval_s=float(np.median(np.diff(time))),
+    )
 
 
 def cut_sections(
@@ -185,6 +203,7 @@ def cut_sections(
     else:
         sigma = np.full(steps.size, math.sqrt(2.0) * reference.sigma_rad)
     return Sections(
+        middle_s=middle,
         start_s=time[first] if len(first) else np.empty(0),
         end_s=time[last - 1] if len(first) else np.empty(0),
         mean_mgauss=mean(raw),

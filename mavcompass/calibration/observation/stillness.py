@@ -28,12 +28,11 @@ from mavcompass.calibration.observation.dwells import (
     dwell_between,
     field_lag_s,
 )
-from mavcompass.calibration.observation.lean import accelerometer_sigma_rad
 from mavcompass.calibration.observation.rolling import rolls
-from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD
+from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD, accelerometer_sigma_rad
 from mavcompass.calibration.observation.turning import GYRO_SCALE_SIGMA, TurnRecord, turn_record
 from mavcompass.errors import PoorCalibration
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, circle_covered_rad
 from mavcompass.track import Track
 
 _SHORTEST_DWELL_S = 1.0
@@ -78,7 +77,8 @@ def find_dwells(
         ]
 
     windows = standing(windows)
-    if _spread(record, windows) < math.radians(150.0):
+    middles = record.angle_at(np.array([0.5 * (a + b) for a, b in windows]))
+    if not windows or circle_covered_rad(middles) < math.radians(150.0):
         cut = standing(_cut_from_turn(record, compass.time_s))
         windows = cut if len(cut) >= 3 else windows
     windows = sorted(sorted(windows, key=lambda w: w[0] - w[1])[:_MOST_DWELLS])
@@ -151,16 +151,6 @@ def _centred_mean(time: FloatArray, values: FloatArray) -> FloatArray:
     first = np.searchsorted(time, time - RATE_SMOOTHING_S / 2.0, side="left")
     last = np.searchsorted(time, time + RATE_SMOOTHING_S / 2.0, side="right")
     return np.asarray((total[last] - total[first]) / (last - first))
-
-
-def _spread(record: TurnRecord, windows: list[tuple[float, float]]) -> float:
-    """Return how much of the circle the windows reach over: 2 pi less the largest empty arc."""
-    if not windows:
-        return 0.0
-    middles = record.angle_at(np.array([0.5 * (a + b) for a, b in windows])) % (2.0 * math.pi)
-    ordered = np.sort(middles)
-    gaps = np.diff(np.concatenate([ordered, [ordered[0] + 2.0 * math.pi]]))
-    return 2.0 * math.pi - float(gaps.max())
 
 
 def _cut_from_turn(record: TurnRecord, compass_time: FloatArray) -> list[tuple[float, float]]:

@@ -1,7 +1,17 @@
-"""The tilt of a still position."""
+"""The tilt of a still position, and the accelerometer's part in it: in the lean that turns with the vehicle.
+
+Standing at several headings shows two tilts: the ground's, which stays, and one that turns along.
+The latter is how the vehicle stands, or the accelerometer's own error, and no reading parts the two:
+
+    roll = r + u cos t + v sin t,   pitch = p - u sin t + v cos t                                        (A1)
+
+with the lean (r, p), the ground's slope (u, v) and the angle t turned. Where hardly any lean is seen there is
+hardly any error either; a lean is the accelerometer's as far as that is likely beforehand.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -15,6 +25,13 @@ from mavcompass.track import Track
 TILT_FLOOR_RAD = math.radians(0.02)
 # What the accelerometer's calibration leaves: one thousandth of gravity, the same at every position.
 TILT_BIAS_SIGMA_RAD = 0.001
+# What an accelerometer is off by, each axis, and how often: calibrated, to a thousandth of gravity (as
+# autopilots ask for); or not, by a tenth of a metre per second squared (datasheets: 20 to 60 mg).
+_ACCELEROMETERS = ((0.8, 0.001), (0.2, 0.1 / 9.81))
+# How vehicles stand, float or hover, averaged over a turn: upright, or as wheels, skids and hulls have it.
+_STANCES = ((0.5, math.radians(0.15)), (0.5, math.radians(1.5)))
+# Ground is rarely steeper.
+_SLOPE_RAD = math.radians(5.0)
 
 
 def tilt_during(
@@ -44,3 +61,37 @@ def _mean_force(track: Track, start: float, end: float) -> FloatArray:
     if len(values) < 3:
         return np.full(3, np.nan)
     return unquantise(values.mean(axis=0), values.std(axis=0), track.acc_truncation_mps2, True)[0]
+
+
+def accelerometer_sigma_rad(
+    turned_rad: FloatArray, roll_rad: FloatArray, pitch_rad: FloatArray, sigma_rad: FloatArray
+) -> float:
+    """Return what the accelerometer adds to roll and pitch all along, 1 sigma of each, radians.
+
+    Args:
+        turned_rad: angle of each stand, (K,). roll_rad, pitch_rad: as measured there, (K,), and their noise
+            `sigma_rad`.
+    """
+    cos, sin = np.cos(turned_rad), np.sin(turned_rad)
+    one, none = np.ones_like(cos), np.zeros_like(cos)
+    design = np.concatenate(
+        [np.stack([one, none, cos, sin], axis=1), np.stack([none, one, -sin, cos], axis=1)]
+    )
+    weight = np.tile(sigma_rad**-2.0, 2)
+    prior = np.diag([1e-6, 1e-6, _SLOPE_RAD**-2.0, _SLOPE_RAD**-2.0])
+    covariance = np.linalg.inv(design.T @ (design * weight[:, np.newaxis]) + prior)
+    tilts = np.concatenate([roll_rad, pitch_rad])
+    found = covariance @ design.T @ (weight * tilts)
+    lean = found[:2]
+    # What sways stands otherwise each time: its residuals tell by how much.
+    swaying = float(weight @ (tilts - design @ found) ** 2) / max(len(tilts) - 4, 1)
+    noise2 = 0.5 * float(np.trace(covariance[:2, :2])) * max(swaying, 1.0)
+    size2 = float(lean @ lean)
+    shares, squares = [], []
+    for (often, own), (usual, stance) in itertools.product(_ACCELEROMETERS, _STANCES):
+        spread2 = own**2 + stance**2 + noise2
+        part = own**2 / spread2
+        shares.append(math.log(often * usual / spread2) - 0.5 * size2 / spread2)
+        squares.append(0.5 * part**2 * size2 + own**2 * (1.0 - part))
+    share = np.exp(np.array(shares) - max(shares))
+    return math.sqrt(float(share @ np.array(squares)) / float(share.sum()))

@@ -15,8 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavcompass.calibration.positions.fit import PositionFit, fit_positions
-from mavcompass.calibration.positions.problem import PositionProblem
+from mavcompass.calibration.positions.problem import PositionFit, PositionProblem, fit_positions
 from mavcompass.frames import FloatArray
 
 # How often a position is disturbed at all, and how large such fields are: steps of a ladder.

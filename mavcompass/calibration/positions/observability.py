@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from mavcompass.calibration.model import NAMES, HeadingError
 from mavcompass.calibration.observation import FourPositionData, Step
-from mavcompass.calibration.positions.fit import fit_positions
 from mavcompass.calibration.positions.four_positions import FourPositionsResult
-from mavcompass.calibration.positions.problem import PositionProblem
+from mavcompass.calibration.positions.problem import PositionProblem, fit_positions
 from mavcompass.calibration.rigid import DEFAULT_PRIOR, IronPrior
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.earth_field import EarthField

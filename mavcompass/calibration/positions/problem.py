@@ -1,4 +1,4 @@
-"""What a four-position fit starts from: measurements with their covariances, the prior, a first state."""
+"""The four-position fit: measurements with their covariances, the prior, a first state, and its solution."""
 
 from __future__ import annotations
 
@@ -18,14 +18,26 @@ from mavcompass.calibration.model import (
     gain_parameters,
 )
 from mavcompass.calibration.observation import FourPositionData, Step
-from mavcompass.calibration.rigid import IronPrior, PriorRows, Readings, prior_rows
+from mavcompass.calibration.rigid import (
+    IronPrior,
+    PriorRows,
+    Readings,
+    assembled,
+    common_error,
+    covariance_of,
+    prior_rows,
+    settle,
+)
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, level_to_body
+from mavcompass.heading.compute import level_field
 
 # What no error model names: the sensor's own bends and steps of its converter.
 _FLOOR_MGAUSS = 0.01
+_ROBUST_FROM, _ROUNDS, _STEPS_A_ROUND = 6, 20, 2
+_MANY_SIGMAS_3D = 11.34  # chi-square of three, 99 %
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,13 +69,13 @@ class PositionProblem:
         tilts = level_to_body([d.roll_rad for d in dwells], [d.pitch_rad for d in dwells])
         current = np.array([d.current_a for d in dwells])
         readings = Readings(
+            middle_s=np.concatenate([[0.0], np.cumsum([s.duration_s for s in data.steps])]),
             mean_mgauss=mean,
             mapping=tilts @ np.array([d.swing for d in dwells]),
             by_lag=np.zeros((len(dwells), 3, 3)),
             load=current - current.mean() if np.isfinite(current).all() else np.zeros(len(dwells)),
-            step_rad=np.array([s.angle_rad for s in data.steps]),
+            turned_rad=data.turned_rad,
             step_sigma_rad=np.array([max(s.sigma_rad, 1e-6) for s in data.steps]),
-            step_s=np.array([s.duration_s for s in data.steps]),
         )
         start, mirrored = _start(mean, tilts, data.turned_rad, earth, in_force)
         rules = prior_rows(
@@ -108,8 +120,7 @@ class PositionProblem:
         """Add a pose not yet taken, as certain as the best so far, reading what `state` predicts."""
         tilt = level_to_body(roll_rad, pitch_rad)
         psi = float(state[-1]) + turn_rad
-        horizontal = float(state[HORIZONTAL])
-        level = np.array([horizontal * math.cos(psi), -horizontal * math.sin(psi), float(state[VERTICAL])])
+        level = level_field(psi, state[HORIZONTAL], state[VERTICAL])
         reading = state[OFFSET] + gain_matrix(state[GAIN]) @ tilt @ level
         best = int(np.argmin(np.trace(self.noise + self.quantisation + self.tilt, axis1=1, axis2=2)))
 
@@ -176,3 +187,67 @@ def _start(
     state[HEADINGS:] = first + turned
     state[OFFSET] = line[0] - gain_matrix(state[GAIN]) @ tilts.mean(axis=0) @ [0.0, 0.0, vertical]
     return state, mirrored
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PositionFit:
+    state: FloatArray
+    covariance: FloatArray
+    residual: FloatArray  # (K, 3), mG
+    jacobian: FloatArray  # whitened, rows: 3K field, K-1 steps, prior
+    weights: FloatArray  # (K,)
+    cost: float  # the squared whitened residuals, prior included
+    chi_square: float
+    freedom: int
+
+
+def fit_positions(problem: PositionProblem, near: PositionFit | None = None) -> PositionFit:
+    """Fit the positions; dwells far out weigh less where there are many.
+
+    The fit of a problem that is nearly the same may be given to begin with.
+    """
+    readings = problem.readings
+    x, weights = (problem.start, np.ones(len(readings))) if near is None else (near.state, near.weights)
+    if len(readings) >= _ROBUST_FROM:
+        for _ in range(_ROUNDS):
+            x = settle(readings, x, _roots(problem, weights), problem.rules, _STEPS_A_ROUND)
+            before, weights = weights, _weights(problem, readings.field(x)[0])
+            if float(np.abs(weights - before).max()) < 1e-3:
+                break
+    roots = _roots(problem, weights)
+    x = settle(readings, x, roots, problem.rules)
+    residual, _ = readings.field(x)
+    values, jacobian = assembled(readings, x, roots, problem.rules)
+    covariance = covariance_of(jacobian)
+    # What the fit cannot absorb of each measurement adds up to the degrees of freedom.
+    measured = 4 * len(readings) - 1
+    rows = jacobian[:measured]
+    absorbed = float(((rows @ covariance) * rows).sum())
+    return PositionFit(
+        state=x,
+        covariance=covariance,
+        residual=residual,
+        jacobian=jacobian,
+        weights=weights,
+        cost=float(values @ values),
+        chi_square=float(values[:measured] @ values[:measured]),
+        freedom=max(round(measured - absorbed), 0),
+    )
+
+
+def leaning_error(problem: PositionProblem, fit: PositionFit) -> FloatArray:
+    """Return what the accelerometer's own error, the same in every dwell, adds to the state, (P, 2).
+
+    By roll and by pitch, one sigma each: on the level it looks like an offset.
+    """
+    leaning = problem.whiten @ problem.leaning * np.sqrt(fit.weights)[:, np.newaxis, np.newaxis]
+    return common_error(leaning, fit.covariance, fit.jacobian)
+
+
+def _roots(problem: PositionProblem, weights: FloatArray) -> FloatArray:
+    return np.asarray(problem.whiten * np.sqrt(weights)[:, np.newaxis, np.newaxis])
+
+
+def _weights(problem: PositionProblem, field: FloatArray) -> FloatArray:
+    distance = (np.einsum("kij,kj->ki", problem.whiten, field) ** 2).sum(axis=1)
+    return np.asarray(np.minimum(1.0, _MANY_SIGMAS_3D / np.maximum(distance, 1e-12)))

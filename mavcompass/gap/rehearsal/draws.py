@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.calibration.positions.fit import CROSS_TERMS_BEFORE
-from mavcompass.calibration.rigid import DEFAULT_PRIOR
+from mavcompass.calibration.rigid import CROSS_TERMS_BEFORE, DEFAULT_PRIOR
 from mavcompass.frames import FloatArray
 from mavcompass.gap.export.vehicle import affine_map
 from mavcompass.gap.rehearsal.kind import Kind

@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mavcompass.calibration.model import ACCELEROMETER
 from mavcompass.calibration.observation import Dwell, FourPositionData, Step
 from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD
 from mavcompass.calibration.positions import FourPositionsResult, solve_four_positions
-from mavcompass.calibration.positions.budget import ACCELEROMETER
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate, wrap_pi
 from mavcompass.gap.rehearsal.draws import Individual

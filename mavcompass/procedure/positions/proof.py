@@ -14,8 +14,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mavcompass.calibration.observation import assemble, dwell_between
-from mavcompass.calibration.result import CalibrationResult, heading_change_rad
+from mavcompass.calibration.result import CalibrationResult
 from mavcompass.frames import wrap_pi
+from mavcompass.heading.deviation import heading_change_rad
 from mavcompass.procedure.positions.visiting import Window
 from mavcompass.track import Track
 

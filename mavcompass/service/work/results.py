@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from mavcompass.calibration.result import CalibrationResult, seen_by_old
+from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import MavCompassError, UsageError
+from mavcompass.heading.deviation import seen_by_old
 from mavcompass.installation.private_files import private_folder, write_private
 from mavcompass.messages import Incoming
 from mavcompass.procedure.check import CheckReport

@@ -14,7 +14,7 @@ from calibration_worlds import FIELD, Iron, turning_track
 from mavcompass.calibration import calibrate_track
 from mavcompass.calibration.methods import auto
 from mavcompass.calibration.model import HeadingError
-from mavcompass.calibration.motion.reference import reference_turn
+from mavcompass.calibration.motion.sections import reference_turn
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import DEFAULT_LIMITS, CalibrationResult
 from mavcompass.correction import FieldCorrection

@@ -11,10 +11,10 @@ import pytest
 
 from mavcompass.calibration.model import GAIN, GYRO_SCALE, HORIZONTAL, MOTOR
 from mavcompass.calibration.motion.findings import (
-    circle_seen_rad,
     findings,
     gain_words,
 )
+from mavcompass.frames import circle_covered_rad
 from mavcompass.units import RAD_PER_DEG
 
 EARTH: Any = object()  # only whether there is one matters
@@ -91,8 +91,8 @@ def test_a_gyro_recorded_too_seldom_is_told(sigma_deg: float, rms_deg: float, re
 
 def test_the_circle_seen_is_all_but_its_widest_gap() -> None:
     north = np.radians([350.0, 10.0, 359.0])
-    assert circle_seen_rad(north) == pytest.approx(20.0 * RAD_PER_DEG)
-    assert circle_seen_rad(np.radians([0.0, 120.0, -120.0])) == pytest.approx(240.0 * RAD_PER_DEG)
+    assert circle_covered_rad(north) == pytest.approx(20.0 * RAD_PER_DEG)
+    assert circle_covered_rad(np.radians([0.0, 120.0, -120.0])) == pytest.approx(240.0 * RAD_PER_DEG)
     assert told(fitted=fit(headings_rad=np.radians([0.0, 75.0, 150.1]))) == ((), ())
     (reason,), _ = told(fitted=fit(headings_rad=np.radians([0.0, 75.0, 149.4])))
     assert "only 149 degrees of the circle" in reason

@@ -12,7 +12,7 @@ import pytest
 from calibration_worlds import FIELD, Iron, heading_errors, iron_of, rms, turning_track
 
 from mavcompass.calibration import calibrate_compasses, calibrate_track
-from mavcompass.calibration.motion.changes import Change, last_stretch
+from mavcompass.calibration.motion.left_out import Change, last_stretch
 from mavcompass.calibration.motion.observed import Motion, observe_motion
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.correction import FieldCorrection

@@ -16,9 +16,8 @@ from mavcompass.calibration.model import (
     OFFSET,
     gain_matrix,
 )
-from mavcompass.calibration.motion import changes, fit, honesty, scatter
-from mavcompass.calibration.motion.equations import first_state, section_variance
-from mavcompass.calibration.motion.fit import MotionFit, fit_motion
+from mavcompass.calibration.motion import fit, honesty, left_out
+from mavcompass.calibration.motion.fit import MotionFit, first_state, fit_motion, section_variance
 from mavcompass.calibration.motion.sections import Sections
 from mavcompass.calibration.rigid import IronPrior
 from mavcompass.correction import FieldCorrection
@@ -68,6 +67,7 @@ def sections_of(
         "gyro_rate_hz": 50.0,
         **changed,
     }
+    values.setdefault("middle_s", 0.5 * (values["start_s"] + values["end_s"]))
     return Sections(**values)
 
 
@@ -134,8 +134,8 @@ def test_a_passing_magnet_is_kept_out() -> None:
     assert seen.sound[5] < 0.01 and np.delete(seen.sound, 5).min() > 0.95
     assert seen.offset_mgauss[:2] == pytest.approx(OFFSETS[:2], abs=0.6)
     assert seen.residual_mgauss[5] == pytest.approx([0.0, 30.0, 0.0], abs=1.5)
-    assert changes.calm_since_s(motion_of(disturbed(), seen)) == 17.0 + 1.0
-    assert changes.calm_since_s(motion_of(sections_of(), fit_motion(sections_of(), EARTH))) is None
+    assert left_out.calm_since_s(motion_of(disturbed(), seen)) == 17.0 + 1.0
+    assert left_out.calm_since_s(motion_of(sections_of(), fit_motion(sections_of(), EARTH))) is None
 
 
 def test_what_is_wrong_everywhere_is_an_error_of_the_model() -> None:
@@ -219,15 +219,15 @@ def test_what_is_claimed_is_at_least_what_scatters() -> None:
 def test_motors_that_are_left_scatter_the_heading(found: MotionFit) -> None:
     load = np.where(np.arange(K) % 2, 5.0, -5.0)
     sections = replace(sections_of(), load=load)
-    left = scatter.motors_left_rad(sections, found, np.array([3.0, 4.0, 99.0]))
+    left = honesty.motors_left_rad(sections, found, np.array([3.0, 4.0, 99.0]))
     # 5 mG/A at 5 A, of which half the square lies across the nose, over the field as the compass reads it.
     assert left == pytest.approx(math.sqrt(0.5) * 25.0 / (200.0 * 0.5 * (1.08 + 0.93)), rel=1e-3)
     unsure = replace(found, covariance=9.0 * np.eye(HEADINGS + K))
     assert (
-        scatter.motors_left_rad(sections, unsure, np.array([5.9, 5.9, 0.0])) == 0.0
+        honesty.motors_left_rad(sections, unsure, np.array([5.9, 5.9, 0.0])) == 0.0
     )  # two sigmas are chance
-    assert scatter.motors_left_rad(sections, unsure, np.array([6.1, 0.0, 0.0])) > 0.0
+    assert honesty.motors_left_rad(sections, unsure, np.array([6.1, 0.0, 0.0])) > 0.0
     often = replace(sections, repeats=np.where(load > 0.0, 4.0, 1.0), load=np.where(load > 0.0, 5.0, 0.0))
-    assert scatter.motors_left_rad(often, found, np.array([4.0, 0.0, 0.0])) == pytest.approx(
+    assert honesty.motors_left_rad(often, found, np.array([4.0, 0.0, 0.0])) == pytest.approx(
         math.sqrt(0.5 * 0.2) * 20.0 / 201.0, rel=1e-3
     )

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mavcompass.calibration.model import HEADINGS, HORIZONTAL, LAG, VERTICAL
-from mavcompass.calibration.motion.scatter import scatter_left_rad
+from mavcompass.calibration.motion.honesty import scatter_left_rad
 from mavcompass.calibration.motion.sections import Sections, unsettled
 from mavcompass.calibration.observation.turning import TurnRecord
 from mavcompass.correction import FieldCorrection
@@ -45,6 +45,7 @@ def sections_of(**changed: Any) -> Sections:
         "gyro_rate_hz": 50.0,
         **changed,
     }
+    rows.setdefault("middle_s", 0.5 * (rows["start_s"] + rows["end_s"]))
     return Sections(**rows)
 
 

@@ -10,8 +10,8 @@ import pytest
 from calibration_worlds import FIELD, Iron, heading_errors, iron_of, rms, turning_track
 
 from mavcompass.calibration import calibrate_track
+from mavcompass.calibration.motion.left_out import Disturbed, without_disturbed_stop
 from mavcompass.calibration.motion.observed import Motion, observe_motion
-from mavcompass.calibration.motion.stops import Disturbed, without_disturbed_stop
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.correction import FieldCorrection
 from mavcompass.track import Series, Track

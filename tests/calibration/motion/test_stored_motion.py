@@ -21,13 +21,17 @@ from made_up_recordings import (
     with_reference,
 )
 
-from mavcompass.calibration.motion.changes import calm_since_s, last_stretch
-from mavcompass.calibration.motion.equations import first_state, section_variance
 from mavcompass.calibration.motion.findings import findings
-from mavcompass.calibration.motion.fit import leaning_error, level_headings, sigma_of
+from mavcompass.calibration.motion.fit import (
+    first_state,
+    leaning_error,
+    level_headings,
+    section_variance,
+    sigma_of,
+)
 from mavcompass.calibration.motion.honesty import weigh_honestly
+from mavcompass.calibration.motion.left_out import calm_since_s, last_stretch, without_disturbed_stop
 from mavcompass.calibration.motion.observed import Motion, observe_motion
-from mavcompass.calibration.motion.stops import without_disturbed_stop
 from mavcompass.calibration.recorded import Recorded
 
 AsStored = Callable[[Any], None]

@@ -16,8 +16,7 @@ from mavcompass.calibration.positions.disturbance import (
     SIZES_MGAUSS,
     weigh_disturbances,
 )
-from mavcompass.calibration.positions.fit import PositionFit
-from mavcompass.calibration.positions.problem import PositionProblem
+from mavcompass.calibration.positions.problem import PositionFit, PositionProblem
 from mavcompass.frames import FloatArray
 
 K, STATES = 5, 4

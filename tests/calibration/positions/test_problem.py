@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from calibration_worlds import FIELD, Iron, four_positions
 
-from mavcompass.calibration.judged import calibrate_positions
 from mavcompass.calibration.model import (
     GAIN,
     GYRO_BIAS,
@@ -26,8 +25,9 @@ from mavcompass.calibration.model import (
 )
 from mavcompass.calibration.observation import FourPositionData, Step
 from mavcompass.calibration.positions import PositionProblem, next_pose, solve_four_positions
-from mavcompass.calibration.positions.fit import fit_positions, weigh_cross_terms
-from mavcompass.calibration.rigid import DEFAULT_PRIOR, assembled
+from mavcompass.calibration.positions.problem import fit_positions
+from mavcompass.calibration.positions.verdict import calibrate_positions
+from mavcompass.calibration.rigid import DEFAULT_PRIOR, assembled, weigh_cross_terms
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import level_to_body, wrap_pi
@@ -186,7 +186,8 @@ def test_a_pose_not_yet_taken_reads_what_the_state_predicts() -> None:
     read = grown.readings
     assert len(read) == 5 and grown.start.size == state.size + 1
     assert grown.start[-1] == pytest.approx(state[-1] + math.pi / 3.0)
-    assert (read.step_rad[-1], read.step_sigma_rad[-1], read.step_s[-1]) == (math.pi / 3.0, 0.004, 7.0)
+    assert np.diff(read.turned_rad)[-1] == pytest.approx(math.pi / 3.0)
+    assert (read.step_sigma_rad[-1], np.diff(read.middle_s)[-1]) == (0.004, 7.0)
     assert read.mapping[-1] == pytest.approx(level_to_body(0.1, -0.2)) and read.load[-1] == 0.0
     assert np.abs(read.field(grown.start)[0]).max() < 1e-6
     worse = list(data.dwells)

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from calibration_worlds import FIELD, Iron, four_positions
 
-from mavcompass.calibration.judged import calibrate_positions
 from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.positions import PositionProblem, next_pose, repeat_test, solve_four_positions
 from mavcompass.calibration.positions.disturbance import weigh_disturbances
-from mavcompass.calibration.positions.fit import fit_positions
+from mavcompass.calibration.positions.problem import fit_positions
+from mavcompass.calibration.positions.verdict import calibrate_positions
 from mavcompass.calibration.rigid import DEFAULT_PRIOR
 from mavcompass.correction import FieldCorrection
 

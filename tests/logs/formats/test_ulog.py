@@ -11,10 +11,10 @@ import pytest
 from ulog_builder import ULogFile
 
 from mavcompass.calibration.calibrate import calibrate_track
-from mavcompass.calibration.result import heading_change_rad
 from mavcompass.compass_parameters import px4_correction
 from mavcompass.errors import BadRecording
 from mavcompass.frames import euler_to_matrix
+from mavcompass.heading.deviation import heading_change_rad
 from mavcompass.logs import read_track
 
 SLOWER = ("vehicle_local_position", "actuator_controls_0", "vehicle_attitude")
