@@ -18,7 +18,7 @@ from mavcompass.compass_parameters import values
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import BadRecording, MavCompassError, PoorCalibration
 from mavcompass.gravity import require_gravity
-from mavcompass.heading.repeated import turned_since_new, turned_vector
+from mavcompass.heading.doubt import turned_since_new, turned_vector
 from mavcompass.parameter_remarks import remarks_said
 from mavcompass.track import Track
 

@@ -55,6 +55,8 @@ NAMES = (
     "motor_z",
     "field_lag",
 )
+# Of these, a heading hangs on offsets and gains.
+CALIBRATED = NAMES[: GAIN.stop]
 # Row, column of each of the six gain parameters.
 _GAIN_ROWS = np.array([0, 1, 2, 0, 0, 1])
 _GAIN_COLUMNS = np.array([0, 1, 2, 1, 2, 2])

@@ -1,4 +1,4 @@
-"""The heading of a field: level, tilt-compensated, for one sample or a million.
+"""The heading of a field: level, tilt-compensated, for one sample or a million; from true and grid north.
 
 Body axes are FRD, headings count clockwise from magnetic north. A level vehicle at heading psi sees
 the horizontal field H as (H cos psi, -H sin psi), so psi = atan2(-y, x).
@@ -6,11 +6,13 @@ the horizontal field H as (H cos psi, -H sin psi), so psi = atan2(-y, x).
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray, wrap_two_pi
 
 # Rows per block: the working columns of a block stay in the processor's cache.
@@ -24,10 +26,9 @@ def level_heading(field_mgauss: ArrayLike) -> Any:
 
 
 def level_field(heading_rad: ArrayLike, horizontal: ArrayLike, vertical: ArrayLike) -> FloatArray:
-    """Return a field as a level vehicle sees it, (..., 3): forward, right, down, at magnetic headings (...)."""
-    psi = np.asarray(heading_rad, dtype=np.float64)
-    parts = np.broadcast_arrays(horizontal * np.cos(psi), -(horizontal * np.sin(psi)), vertical)
-    return np.stack(parts, axis=-1)
+    """Return a field as a level vehicle sees it, (..., 3), forward, right, down, at magnetic headings."""
+    psi, size = np.asarray(heading_rad, dtype=np.float64), np.asarray(horizontal, dtype=np.float64)
+    return np.stack(np.broadcast_arrays(size * np.cos(psi), -size * np.sin(psi), vertical), axis=-1)
 
 
 def tilt_compensated_heading(
@@ -96,3 +97,23 @@ def _blocks(field: FloatArray, acc: FloatArray) -> FloatArray:
         np.arctan2(e, r, out=out)
         np.add(out, 2.0 * np.pi, out=out, where=out < 0.0)
     return heading
+
+
+def true_heading(magnetic_rad: ArrayLike, earth: EarthField) -> Any:
+    """Return headings from true north, [0, 2 pi): the magnetic one plus the declination."""
+    return wrap_two_pi(np.asarray(magnetic_rad) + earth.declination_rad)
+
+
+def grid_convergence_rad(lat_deg: float, lon_deg: float) -> float:
+    """Return the angle from true north to UTM grid north, clockwise positive.
+
+    tan(gamma) = tan(lon - lon0) sin(lat), lon0 the middle of the zone 6 degrees wide; the terms left
+    out are below 0.001 degrees inside a zone. The wider zones of Norway and Svalbard are not known here.
+    """
+    centre = 6.0 * math.floor((lon_deg + 180.0) / 6.0) - 177.0
+    return math.atan(math.tan(math.radians(lon_deg - centre)) * math.sin(math.radians(lat_deg)))
+
+
+def grid_heading(true_rad: ArrayLike, lat_deg: float, lon_deg: float) -> Any:
+    """Return headings from UTM grid north, [0, 2 pi)."""
+    return wrap_two_pi(np.asarray(true_rad) - grid_convergence_rad(lat_deg, lon_deg))

@@ -126,7 +126,7 @@ def seen_by_old(
 ) -> tuple[FloatArray, FloatArray]:
     """Return what `old` makes, (72, 3), of raw readings of which `new` makes the Earth's field, and the true
     headings."""
-    psi = np.arange(72) * (2.0 * math.pi / 72)
+    psi = np.asarray(np.arange(72) * (2.0 * math.pi / 72))
     field_mgauss = level_field(psi, horizontal_mgauss, vertical_mgauss) @ level_to_body(roll_rad, pitch_rad).T
     raw = new.undo(field_mgauss, load if new.motor_source != "none" else None)
     return old.apply(raw, load if old.motor_source != "none" else None), psi

@@ -15,11 +15,15 @@ from mavcompass.earth_field import earth_field_of as earth_field_of
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, circular_mean, tilt_from_acceleration
 from mavcompass.gravity import require_gravity
-from mavcompass.heading.compute import level_field, tilt_compensated_heading
-from mavcompass.heading.doubt import TILT_SIGMA_RAD, CalibrationDoubt, heading_sigma_rad, prior_sigma_mgauss
+from mavcompass.heading.compute import grid_heading, level_field, tilt_compensated_heading, true_heading
+from mavcompass.heading.doubt import (
+    TILT_SIGMA_RAD,
+    CalibrationDoubt,
+    heading_sigma_rad,
+    prior_sigma_mgauss,
+    turned_since_new,
+)
 from mavcompass.heading.fault_isolation import HeadingSource, isolate_faults
-from mavcompass.heading.north import grid_heading, true_heading
-from mavcompass.heading.repeated import turned_since_new
 from mavcompass.heading.two_axis import two_axis_heading
 from mavcompass.track import Series, Track
 

@@ -12,9 +12,9 @@ from mavcompass.attitude.heard import hear
 from mavcompass.compass_parameters import is_calibrated
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkLost, NoReply, Refused
+from mavcompass.heading.compute import grid_convergence_rad
 from mavcompass.heading.doubt import prior_sigma_rad
 from mavcompass.heading.live import LiveCompass
-from mavcompass.heading.north import grid_convergence_rad
 from mavcompass.heading.two_axis import TwoAxisCompass
 from mavcompass.messages.telemetry import field_mgauss, imu_time_s
 from mavcompass.parameter_remarks import remarks_said

@@ -111,7 +111,7 @@ def test_three_still_positions_are_enough() -> None:
                 [30.0, -20.0], abs=3.0
             )
         else:
-            with pytest.raises(PoorCalibration, match="stood still at 2 places only"):
+            with pytest.raises(PoorCalibration, match="Only 2 still positions"):
                 calibrate_still(recorded, None)
 
 

@@ -20,8 +20,8 @@ from mavcompass.heading import (
     tilt_compensated_heading,
     two_axis_heading,
 )
+from mavcompass.heading.compute import grid_convergence_rad
 from mavcompass.heading.deviation import fit_deviation
-from mavcompass.heading.north import grid_convergence_rad
 from mavcompass.heading.two_axis import (
     TwoAxisCompass,
     paper_level_field,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mavcompass.heading.repeated import turned_since_new, turned_vector
+from mavcompass.heading.doubt import turned_since_new, turned_vector
 from mavcompass.heading.stream import heading_of_track
 from mavcompass.track import MagSeries, Series, Track
 

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from mavcompass.attitude import down_in_body
 from mavcompass.calibration.model import (
+    CALIBRATED,
     GAIN,
     HORIZONTAL,
     OFFSET,
@@ -239,7 +240,7 @@ def length_result(
     fit, in_force = fit_length(raw), recorded.in_force
     correction = FieldCorrection.from_matrix(-fit.centre_mgauss, fit.matrix).with_motor_of(in_force)
     horizontal, vertical = _split(fit.length_mgauss, correction.apply(raw), down_in_body(track, time), earth)
-    names, covariance = _raw_form(fit)
+    covariance = _raw_form(fit)
     state = np.zeros(11)
     state[OFFSET], state[GAIN] = fit.centre_mgauss, gain_parameters(np.linalg.inv(fit.matrix))
     state[HORIZONTAL], state[VERTICAL] = horizontal, vertical
@@ -260,7 +261,7 @@ def length_result(
         raw_offset_mgauss=fit.centre_mgauss,
         correction=correction,
         in_force=in_force,
-        covariance_names=names,
+        covariance_names=CALIBRATED,
         covariance=covariance,
         not_observable=("mounting_yaw",),
         residual_rms_mgauss=fit.residual_rms_mgauss,
@@ -287,16 +288,15 @@ def _split(
     return math.sqrt(max(length**2 - vertical**2, (0.05 * length) ** 2)), vertical
 
 
-def _raw_form(fit: LengthFit) -> tuple[tuple[str, ...], FloatArray]:
+def _raw_form(fit: LengthFit) -> FloatArray:
     """Bring the covariance of c and M into that of offsets and gains T = M^-1: dT = -T dM T."""
-    names = (*(f"offset_{a}" for a in "xyz"), *(f"gain_{p}" for p in ("xx", "yy", "zz", "xy", "xz", "yz")))
     covariance = np.zeros((9, 9))
     if fit.covariance.shape[0] < 9:
         covariance[:3, :3] = fit.covariance
-        return names, covariance
+        return covariance
     gain = np.linalg.inv(fit.matrix)
     basis = gain_jacobian(np.eye(3)).transpose(2, 1, 0)  # the six symmetric unit matrices
     by_matrix = np.stack([gain_parameters(-gain @ unit @ gain) for unit in basis], axis=1)
     change = np.zeros((9, 9))
     change[:3, :3], change[3:, 3:] = np.eye(3), by_matrix
-    return names, change @ fit.covariance @ change.T
+    return np.asarray(change @ fit.covariance @ change.T)

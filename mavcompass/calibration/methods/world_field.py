@@ -9,6 +9,7 @@ import numpy as np
 
 from mavcompass.calibration.model import (
     ACCELEROMETER,
+    CALIBRATED,
     GAIN,
     HORIZONTAL,
     MOTOR,
@@ -31,10 +32,6 @@ from mavcompass.frames import FloatArray
 _BY_CHANCE = 2.0
 # Values in force that lie farther off than this, each, in squared sigmas, contradict the motion.
 _HELD_CHI_SQUARE = 2.0
-COVARIANCE_NAMES = (
-    *(f"offset_{a}" for a in "xyz"),
-    *(f"gain_{p}" for p in ("xx", "yy", "zz", "xy", "xz", "yz")),
-)
 
 
 def calibrate(recorded: Recorded) -> CalibrationResult:
@@ -90,7 +87,7 @@ def calibrate_motion(motion: Motion) -> CalibrationResult:
         raw_offset_mgauss=-np.asarray(correction.offsets_mgauss),
         correction=correction,
         in_force=recorded.in_force,
-        covariance_names=COVARIANCE_NAMES,
+        covariance_names=CALIBRATED,
         covariance=honest.error.covariance,
         not_observable=("mounting_yaw",) if motion.reference is None else (),
         residual_rms_mgauss=math.sqrt(float((motion.fit.residual_mgauss**2).mean())),

@@ -22,6 +22,7 @@ from mavcompass.calibration.observation import (
 )
 from mavcompass.calibration.observation.turning import TurnRecord
 from mavcompass.calibration.recorded import Recorded
+from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection, MotorSource
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, circle_covered_rad, wrap_pi
@@ -54,6 +55,10 @@ class Motion:
     fit: MotionFit
     load_source: MotorSource
     motors_told: bool = False
+
+    def claimed(self, result: CalibrationResult) -> CalibrationResult:
+        """Claim no less for a result than the heading scatter that its correction leaves in the motion."""
+        return result.at_least(self.scatter_left_rad(result.correction), self.recorded.limits)
 
     def scatter_left_rad(self, correction: FieldCorrection) -> float:
         """Return the heading scatter that a correction leaves, radians; 0 where nothing can tell.
@@ -146,26 +151,34 @@ def observe_motion(recorded: Recorded) -> Motion:
             "and the recording has no gyro either.",
             "Record a gyro, GPS yaw or an external reference.",
         )
-    sections = cut_sections(track, instance, record, uncorrected_field(track, instance), None, reference)
-    stood = [] if reference is not None else find_dwells(track, instance, record)
-    if reference is None:
-        sections = replace(sections, tilt_bias_rad=accelerometer_of(track, stood))
+    tilt_bias = 0.0 if reference else accelerometer_of(track, find_dwells(track, instance, record))
+
+    def cut(raw_mgauss: FloatArray, load: FloatArray | None = None) -> Sections:
+        sections = cut_sections(track, instance, record, raw_mgauss, load, reference)
+        return replace(sections, tilt_bias_rad=tilt_bias)
+
+    sections = cut(uncorrected_field(track, instance))
     if len(sections) and float(np.ptp(sections.turned_rad)) < _LEAST_TURN_RAD:
         raise PoorCalibration(
             f"The vehicle turned only {math.degrees(float(np.ptp(sections.turned_rad))):.0f} degrees.",
             "Turn it through a full circle.",
         )
     load, source = _motor_load(track, instance)
-    if load is None:
-        fit = _fitted(recorded, sections, "none")
-        return Motion(recorded, record, reference, sections, fit, "none")
-    loaded = cut_sections(track, instance, record, track.raw_field(instance), load, reference)
-    loaded = replace(loaded, tilt_bias_rad=sections.tilt_bias_rad)
-    fit = _fitted(recorded, loaded, source)
-    if _motors_show(loaded, fit):
-        told = _motors_told(loaded, fit, math.radians(recorded.limits.heading_deg))
-        return Motion(recorded, record, reference, loaded, fit, source, told)
+    if load is not None:
+        loaded = cut(track.raw_field(instance), load)
+        fit = _fitted(recorded, loaded, source)
+        if _motors_show(loaded, fit):
+            told = _motors_told(loaded, fit, math.radians(recorded.limits.heading_deg))
+            return Motion(recorded, record, reference, loaded, fit, source, told)
     return Motion(recorded, record, reference, sections, _fitted(recorded, sections, "none"), "none")
+
+
+def motion_or_none(recorded: Recorded) -> Motion | None:
+    """Return a recording's motion; None where it has neither gyro nor reference, or turned too little."""
+    try:
+        return observe_motion(recorded)
+    except PoorCalibration:
+        return None
 
 
 def _motors_show(sections: Sections, fit: MotionFit) -> bool:

@@ -30,7 +30,7 @@ from mavcompass.calibration.observation.dwells import (
 )
 from mavcompass.calibration.observation.rolling import rolls
 from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD, accelerometer_sigma_rad
-from mavcompass.calibration.observation.turning import GYRO_SCALE_SIGMA, TurnRecord, turn_record
+from mavcompass.calibration.observation.turning import GYRO_SCALE_SIGMA, TurnRecord, require_turn, turn_record
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, circle_covered_rad
 from mavcompass.track import Track
@@ -60,12 +60,7 @@ def find_dwells(
     Raises PoorCalibration where the recording has no gyro, KeyError for an unknown compass.
     """
     compass = track.compasses[instance]
-    record = turn or turn_record(track, instance)
-    if record is None:
-        raise PoorCalibration(
-            "The recording has no gyro, so neither stillness nor the turned angles are known.",
-            "Record the angular rate too (RAW_IMU, SCALED_IMU or IMU messages).",
-        )
+    record = turn or require_turn(track, instance)
     windows = [part for window in _still_windows(record) for part in _steady_current(track, window)]
     rolling = rolls(track, record.time_s)
 
@@ -181,12 +176,7 @@ def turns_between(
 
     Raises PoorCalibration where the recording has no gyro.
     """
-    record = turn or turn_record(track, instance)
-    if record is None:
-        raise PoorCalibration(
-            "The recording has no gyro, so the turned angles are not known.",
-            "Record the angular rate too (RAW_IMU, SCALED_IMU or IMU messages).",
-        )
+    record = turn or require_turn(track, instance)
     lag = field_lag_s(track)
     times = track.compasses[instance].time_s
     angles = []
@@ -209,15 +199,14 @@ def observe(track: Track, instance: int = 1, turn: TurnRecord | None = None) -> 
 
     Raises PoorCalibration where the recording has no gyro or hardly turns, KeyError for an unknown compass.
     """
-    record = turn or turn_record(track, instance)
+    record = turn or require_turn(track, instance)
     dwells = find_dwells(track, instance, record)
-    if len(dwells) < 3 and record is not None:
-        turned = math.degrees(float(np.ptp(record.angle_rad)))
-        if turned < 200.0:
-            raise PoorCalibration(
-                f"Too little motion: the vehicle's heading changed by only {turned:.0f} degrees in all.",
-                "Turn it on the level in four steps of about 90 degrees and stop after each.",
-            )
+    turned = math.degrees(float(np.ptp(record.angle_rad)))
+    if len(dwells) < 3 and turned < 200.0:
+        raise PoorCalibration(
+            f"Too little motion: the vehicle's heading changed by only {turned:.0f} degrees in all.",
+            "Turn it on the level in four steps of about 90 degrees and stop after each.",
+        )
     return assemble(track, dwells, instance, record)
 
 

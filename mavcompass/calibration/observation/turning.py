@@ -14,6 +14,7 @@ import numpy as np
 
 from mavcompass.attitude import down_in_body, moving_average
 from mavcompass.calibration.observation.wire import white_noise
+from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, tilt_from_acceleration, wrap_pi
 from mavcompass.track import Track, uncut
 
@@ -128,6 +129,17 @@ def turn_record(track: Track, instance: int = 1) -> TurnRecord | None:
         walk_rad=min(walking * math.sqrt(float(np.median(steps))), _witnessed_walk_rad(track, time, rates)),
         interval_s=float(np.median(steps)),
     )
+
+
+def require_turn(track: Track, instance: int = 1) -> TurnRecord:
+    """Return the turn by the gyro. Raises PoorCalibration where the recording has none."""
+    record = turn_record(track, instance)
+    if record is None:
+        raise PoorCalibration(
+            "The recording has no gyro, so neither stillness nor the turned angles are known.",
+            "Record the angular rate too (RAW_IMU, SCALED_IMU or IMU messages).",
+        )
+    return record
 
 
 def _turned_by_rolling(down: FloatArray) -> FloatArray:

@@ -89,13 +89,6 @@ def hidden_in_runs(values: FloatArray, first: NDArray[np.intp], quantum: float) 
     return np.asarray(quantum * np.sqrt(share / 12.0) / (last - first)[:, np.newaxis])
 
 
-def hidden_beside_noise(noise: FloatArray, quantum: float) -> FloatArray:
-    """Return what whole numbers hide of averages, 1 sigma, (K,), for the readings' own noise, (K,)."""
-    if quantum <= 0.0:
-        return np.zeros_like(noise)
-    return quantum * np.sqrt([_hidden_variance(float(n)) for n in noise / quantum])
-
-
 def _hidden_variance(noise: float) -> float:
     """Return the conversion's variance of an average, in steps squared, for a noise in steps."""
     k2 = _HARMONICS**2

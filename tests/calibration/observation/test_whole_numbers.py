@@ -9,7 +9,6 @@ import pytest
 
 from mavcompass.calibration.observation.wire import (
     effective_count,
-    hidden_beside_noise,
     unquantise,
     white_noise,
 )
@@ -44,7 +43,6 @@ def test_what_is_hidden_is_how_far_averages_come_out(noise: float, truncated: bo
 def test_without_steps_nothing_is_hidden() -> None:
     value, hidden = unquantise([1.5, -2.0], [0.1, 0.1], 0.0, True)
     assert value.tolist() == [1.5, -2.0] and hidden.tolist() == [0.0, 0.0]
-    assert hidden_beside_noise(np.array([0.1, 3.0]), 0.0).tolist() == [0.0, 0.0]
 
 
 def test_the_cell_about_zero_is_twice_as_wide() -> None:
@@ -64,13 +62,6 @@ def test_near_zero_noise_is_cut_both_ways() -> None:
         value, _ = unquantise([told.mean()], [told.std()], 1.0, True)
         assert value[0] == pytest.approx(average, abs=0.06)
         assert abs(told.mean()) < abs(value[0])
-
-
-def test_each_noise_has_its_own_share_hidden() -> None:
-    hidden = hidden_beside_noise(np.array([0.0, 0.2, 0.5, 12.0]), 1.0)
-    assert hidden[0] == pytest.approx(1.0 / math.sqrt(12.0)) and hidden[-1] == pytest.approx(0.0, abs=1e-6)
-    assert hidden[0] > hidden[1] > hidden[2]
-    assert hidden_beside_noise(np.array([0.4]), 2.0) == pytest.approx(2.0 * hidden[1:2])
 
 
 def test_fresh_is_what_differs_from_the_reading_before() -> None:
