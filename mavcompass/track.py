@@ -183,9 +183,10 @@ class Track:
         series = {"current": self.current_a, "throttle": self.throttle}.get(source)
         return None if series is None else series.at(time_s)
 
-    def raw_field(self, instance: int = 1) -> FloatArray:
+    def raw_field(self, instance: int = 1, motors: bool = True) -> FloatArray:
         """Undo the corrections in force: the readings (N, 3) of one compass in body axes, milligauss.
 
+        `motors` False leaves the motor compensation in: what is kept in force has to stay in the data.
         Raises KeyError for a compass that the recording does not have.
         """
         compass = self.compasses[instance]
@@ -195,7 +196,8 @@ class Track:
         edges = [*np.searchsorted(compass.time_s, starts), len(compass.reported)]
         for step, first, last in zip(compass.in_force, edges[:-1], edges[1:], strict=True):
             rows = slice(int(first), int(last))
-            load = self.motor_load(compass.time_s[rows], step.correction.motor_source)
+            source = step.correction.motor_source if motors else "none"
+            load = self.motor_load(compass.time_s[rows], source)
             raw[rows] = step.correction.undo(compass.reported.values[rows], load)
         return raw
 

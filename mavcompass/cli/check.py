@@ -113,8 +113,7 @@ def _say(report: CheckReport, source: str, output: Output, everything: bool) -> 
     advice = f"Next: {program()} calibrate {shlex.quote(source)}" if report.calibration_advised else ""
     if advice and not report.turns_itself and not isinstance(parse_address(source), Recording):
         advice += " --motion hand (it cannot turn on the spot), or of its next flight's log"
-    unturned = "" if report.turned or report.verdict == "pass" else " No turn was made."
-    output.say(f"{mark(report.verdict)}  {report.summary()}{unturned}")
+    output.say(f"{mark(report.verdict)}  {report.summary()}")
     if advice:
         output.say(f"      {advice}")
 

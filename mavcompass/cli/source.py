@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -144,17 +145,12 @@ def open_source(
     from mavcompass.vehicle.opening import open_link
     from mavcompass.vehicle.transport import Simulated
 
-    identity = GROUND_STATION if as_ground_station else ONBOARD_COMPUTER
     if isinstance(address, Simulated):
-        from mavcompass.vehicle.links.simulated import SimulatedLink
-
-        effects = (*address.effects, *effects)
-        return SimulatedLink.of(
-            address.vehicle, seed=address.seed, effects=effects, identity=identity, by_hand=by_hand
-        )
-    if effects:
+        address = replace(address, effects=(*address.effects, *effects))
+    elif effects:
         raise UsageError("--effect is for sim:VEHICLE only.", "Leave it away for a real vehicle.")
-    return open_link(address, identity)
+    identity = GROUND_STATION if as_ground_station else ONBOARD_COMPUTER
+    return open_link(address, identity, by_hand=by_hand)
 
 
 def require_for(

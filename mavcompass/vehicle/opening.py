@@ -45,13 +45,14 @@ def open_link(
     reconnect: Reconnect | None = None,
     read_track: Callable[[Path], Track] | None = None,
     speed: float | None = None,
+    by_hand: bool = False,
 ) -> Link:
     """Open the link that a SOURCE names; the caller closes it (it is a context manager).
 
     `identity` is who we are, by default the vehicle's onboard computer. `signing` and `reconnect` are for
     links on a wire; without `signing` the key is taken from the file that $MAVCOMPASS_SIGN_KEY names, if it
-    does. `read_track` (`mavcompass.logs.read_track`) is for playing recordings that are not .tlog. `speed` is
-    of a simulated vehicle's time, as fast as can be where it is None.
+    does. `read_track` (`mavcompass.logs.read_track`) is for playing recordings that are not .tlog. A
+    simulated vehicle's time has a `speed`, as fast as can be where it is None; `by_hand` a person turns it.
 
     Raises UsageError for a wrong address, NoVehicle where nothing listens, BadRecording for a bad file.
     """
@@ -63,7 +64,9 @@ def open_link(
         case Simulated(vehicle, seed, effects):
             from mavcompass.vehicle.links.simulated import SimulatedLink
 
-            return SimulatedLink.of(vehicle, seed=seed, effects=effects, identity=identity, speed=speed)
+            return SimulatedLink.of(
+                vehicle, seed=seed, effects=effects, identity=identity, speed=speed, by_hand=by_hand
+            )
         case Recording(path):
             from mavcompass.vehicle.replay import ReplayedLink
 

@@ -29,7 +29,6 @@ from mavcompass.calibration.model import (
     gain_matrix,
     gain_parameters,
 )
-from mavcompass.calibration.observation import uncorrected_field
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
@@ -234,7 +233,7 @@ def length_result(
 ) -> CalibrationResult:
     """Fit the readings (N, 3) of a compass turned every way and bring the fit into a judged result."""
     track, instance, earth = recorded.track, recorded.instance, recorded.earth
-    raw = uncorrected_field(track, instance)
+    raw = track.raw_field(instance, motors=False)
     usable = np.isfinite(raw).all(axis=1)
     raw, time = raw[usable], track.compasses[instance].time_s[usable]
     fit, in_force = fit_length(raw), recorded.in_force

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mavcompass.calibration.observation import FourPositionData, observe, uncorrected_field
+from mavcompass.calibration.observation import FourPositionData, observe
 from mavcompass.calibration.positions.verdict import calibrate_positions
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import UNCERTAIN, CalibrationResult, Position
@@ -69,7 +69,7 @@ def require_change(span: FloatArray) -> None:
 
 def readings(recorded: Recorded) -> FloatArray:
     """Return the raw readings, (N, 3)."""
-    raw = uncorrected_field(recorded.track, recorded.instance)
+    raw = recorded.track.raw_field(recorded.instance, motors=False)
     return raw[np.isfinite(raw).all(axis=1)]
 
 

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from mavcompass.calibration.methods import ellipsoid, four_positions, world_field
-from mavcompass.calibration.motion.left_out import Change, calm_since_s, last_stretch, since
-from mavcompass.calibration.motion.observed import Motion, observe_motion
+from mavcompass.calibration.motion.left_out import calm_since_s, last_stretch, since
+from mavcompass.calibration.motion.observed import Motion, motion_or_none, observe_motion
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult, surest
 from mavcompass.correction import FieldCorrection
@@ -31,9 +31,11 @@ def calibrate(recorded: Recorded) -> CalibrationResult:
     """
     if recorded.windows is not None:
         return four_positions.calibrate(recorded)
-    motion, change = _observed(recorded)
-    if motion is not None and change is not None:
-        recorded = since(recorded, float(motion.sections.start_s[0]))
+    motion, change = motion_or_none(recorded), None
+    if motion is not None:
+        motion, change = last_stretch(motion)
+        if change is not None:
+            recorded = since(recorded, float(motion.sections.start_s[0]))
     results, refusals = _tried(recorded, motion)
     if not results:
         raise refusals[0]
@@ -42,13 +44,6 @@ def calibrate(recorded: Recorded) -> CalibrationResult:
     if change is not None:
         said.append(change.words())
     return replace(result, warnings=(*said, *result.warnings))
-
-
-def _observed(recorded: Recorded) -> tuple[Motion | None, Change | None]:
-    try:
-        return last_stretch(observe_motion(recorded))
-    except PoorCalibration:
-        return None, None
 
 
 def _tried(
@@ -90,11 +85,14 @@ def _chosen(results: list[CalibrationResult], motion: Motion | None = None) -> C
     if not accepted:
         return surest(results)
     best = surest(accepted)
-    if accepted[0].method == "four-positions" and _sigma(accepted[0]) < _SURER * _sigma(best):
+    if (
+        accepted[0].method == "four-positions"
+        and accepted[0].heading_sigma_deg < _SURER * best.heading_sigma_deg
+    ):
         best = accepted[0]
     for other in accepted:
         apart = _apart_deg(best, other, motion)
-        allowed = max(_AGREE_SIGMAS * math.hypot(_sigma(best), _sigma(other)), _AGREE_DEG)
+        allowed = max(_AGREE_SIGMAS * math.hypot(best.heading_sigma_deg, other.heading_sigma_deg), _AGREE_DEG)
         if apart > allowed:
             reason = (
                 f"The methods {best.method} and {other.method} are both sure and {apart:.1f} degrees "
@@ -102,10 +100,6 @@ def _chosen(results: list[CalibrationResult], motion: Motion | None = None) -> C
             )
             return replace(best, accepted=False, reasons=(*best.reasons, reason))
     return best
-
-
-def _sigma(result: CalibrationResult) -> float:
-    return result.heading_sigma_deg
 
 
 def _apart_deg(one: CalibrationResult, other: CalibrationResult, motion: Motion | None) -> float:

@@ -18,7 +18,6 @@ from mavcompass.calibration.observation import (
     centred,
     find_dwells,
     turn_record,
-    uncorrected_field,
 )
 from mavcompass.calibration.observation.turning import TurnRecord
 from mavcompass.calibration.recorded import Recorded
@@ -70,7 +69,7 @@ class Motion:
             return 0.0
         time = track.compasses[instance].time_s
         if correction.motor_source == "none":
-            field = correction.apply(uncorrected_field(track, instance))
+            field = correction.apply(track.raw_field(instance, motors=False))
         else:
             load = track.motor_load(time, correction.motor_source)
             field = correction.apply(track.raw_field(instance), load)
@@ -157,7 +156,7 @@ def observe_motion(recorded: Recorded) -> Motion:
         sections = cut_sections(track, instance, record, raw_mgauss, load, reference)
         return replace(sections, tilt_bias_rad=tilt_bias)
 
-    sections = cut(uncorrected_field(track, instance))
+    sections = cut(track.raw_field(instance, motors=False))
     if len(sections) and float(np.ptp(sections.turned_rad)) < _LEAST_TURN_RAD:
         raise PoorCalibration(
             f"The vehicle turned only {math.degrees(float(np.ptp(sections.turned_rad))):.0f} degrees.",

@@ -183,8 +183,6 @@ def cut_sections(
     count = (last - first).astype(float)
 
     def mean(values: FloatArray) -> FloatArray:
-        if not len(first):
-            return np.empty((0, *values.shape[1:]))
         total = np.add.reduceat(values, first, axis=0)
         return total / count.reshape(-1, *[1] * (values.ndim - 1))
 
@@ -194,7 +192,7 @@ def cut_sections(
     later = 0.02
     leaning = tilt_from_acceleration(-level.at(time - lag - later))
     moved = level_to_body(*leaning, record.angle_at(time - lag - later) - turned[section])
-    middle = 0.5 * (time[first] + time[last - 1]) if len(first) else np.empty(0)
+    middle = 0.5 * (time[first] + time[last - 1])
     steps = np.diff(middle)
     middle_load = float(loads.mean()) if loads.size else 0.0
     if reference is None:
@@ -204,10 +202,10 @@ def cut_sections(
         sigma = np.full(steps.size, math.sqrt(2.0) * reference.sigma_rad)
     return Sections(
         middle_s=middle,
-        start_s=time[first] if len(first) else np.empty(0),
-        end_s=time[last - 1] if len(first) else np.empty(0),
+        start_s=time[first],
+        end_s=time[last - 1],
         mean_mgauss=mean(raw),
-        samples=np.maximum(np.add.reduceat(fresh.astype(float), first), 1.0) if len(first) else np.empty(0),
+        samples=np.maximum(np.add.reduceat(fresh.astype(float), first), 1.0),
         noise_mgauss=_white_noise(time[fresh], raw[fresh], compass.quantum_mgauss),
         hidden_mgauss=hidden_in_runs(compass.reported.values[usable], first, compass.quantum_mgauss),
         mapping=mean(mapping),

@@ -12,7 +12,6 @@ from mavcompass.calibration.observation.dwells import (
     correction_at,
     dwell_between,
     field_lag_s,
-    uncorrected_field,
 )
 from mavcompass.calibration.observation.rolling import WHEELED, rolls
 from mavcompass.calibration.observation.stillness import (
@@ -43,5 +42,4 @@ __all__ = [
     "rolls",
     "turn_record",
     "turns_between",
-    "uncorrected_field",
 ]

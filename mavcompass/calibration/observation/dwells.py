@@ -115,22 +115,6 @@ class FourPositionData:
         """Return each dwell's angle counted from the first, (K,)."""
         return np.concatenate([[0.0], np.cumsum([step.angle_rad for step in self.steps])])
 
-    def without(self, index: int) -> FourPositionData:
-        """Leave one dwell out, joining the turns around it."""
-        dwells = self.dwells[:index] + self.dwells[index + 1 :]
-        steps = list(self.steps)
-        if 0 < index < len(steps):
-            first, second = steps[index - 1], steps[index]
-            joined = Step(
-                first.angle_rad + second.angle_rad,
-                math.hypot(first.sigma_rad, second.sigma_rad),
-                first.duration_s + second.duration_s,
-            )
-            steps[index - 1 : index + 1] = [joined]
-        else:
-            del steps[0 if index == 0 else -1]
-        return replace(self, dwells=dwells, steps=tuple(steps))
-
 
 def field_lag_s(track: Track) -> float:
     """Return how far the recorded field is known to lag behind the gyro, seconds."""
@@ -144,23 +128,6 @@ def correction_at(compass: MagSeries, time_s: float) -> FieldCorrection:
         if step.from_s <= time_s:
             current = step
     return current.correction
-
-
-def uncorrected_field(track: Track, instance: int) -> FloatArray:
-    """Undo offsets, matrix and scale in force, but leave the motor compensation in: (N, 3), milligauss.
-
-    The motor term is kept by the calibrations that do not fit one, so it has to stay in their data.
-    Raises KeyError for a compass that the recording does not have.
-    """
-    compass = track.compasses[instance]
-    reported = np.asarray(compass.reported.values)
-    raw = np.empty_like(reported)
-    starts = np.array([step.from_s for step in compass.in_force])
-    starts[0] = -np.inf
-    edges = [*np.searchsorted(compass.time_s, starts), len(reported)]
-    for step, first, last in zip(compass.in_force, edges[:-1], edges[1:], strict=True):
-        raw[int(first) : int(last)] = step.correction.undo(reported[int(first) : int(last)])
-    return raw
 
 
 def centred(track: Track, instance: int) -> Track:

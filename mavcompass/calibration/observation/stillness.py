@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcompass.attitude import moving_average
 from mavcompass.calibration.observation.detector import (
     LONGEST_SWING_RAD,
     RATE_SMOOTHING_S,
@@ -83,8 +84,8 @@ def find_dwells(
 def _still_windows(record: TurnRecord) -> list[tuple[float, float]]:
     """List (start, end) of the stretches with little rotation, split where their swing grows too long."""
     time = record.time_s
-    rate = _centred_mean(time, record.rate_radps)
-    tilt = _centred_mean(time, record.tilt_rate_radps)
+    rates = np.stack([record.rate_radps, record.tilt_rate_radps], axis=1)
+    rate, tilt = moving_average(time, rates, RATE_SMOOTHING_S).T
     tilt_floor = TILT_FLOOR * record.noise_radps
     quiet = (np.abs(rate) < STILL_RATE_RADPS) & (tilt < STILL_TILT_RATE_RADPS + tilt_floor)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], quiet, [False]]).astype(np.int8)))
@@ -139,13 +140,6 @@ def _steady_current(track: Track, window: tuple[float, float]) -> list[tuple[flo
             parts.append((start, end))
         start, ordered = end, load[k : k + 1].tolist()
     return parts
-
-
-def _centred_mean(time: FloatArray, values: FloatArray) -> FloatArray:
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    first = np.searchsorted(time, time - RATE_SMOOTHING_S / 2.0, side="left")
-    last = np.searchsorted(time, time + RATE_SMOOTHING_S / 2.0, side="right")
-    return np.asarray((total[last] - total[first]) / (last - first))
 
 
 def _cut_from_turn(record: TurnRecord, compass_time: FloatArray) -> list[tuple[float, float]]:

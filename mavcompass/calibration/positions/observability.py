@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.calibration.model import NAMES, HeadingError
+from mavcompass.calibration.model import NAMES, OFFSET, HeadingError
 from mavcompass.calibration.observation import FourPositionData, Step
 from mavcompass.calibration.positions.four_positions import FourPositionsResult
 from mavcompass.calibration.positions.problem import PositionProblem, fit_positions
@@ -19,17 +19,9 @@ from mavcompass.frames import FloatArray
 
 _OFFSET_KNOWN_MGAUSS = 10.0
 _GAIN_KNOWN = 0.04
-_REPORTED = {
-    "offset_x": "offset_x",
-    "offset_y": "offset_y",
-    "offset_z": "offset_z",
-    "gain_xx": "scale_x",
-    "gain_yy": "scale_y",
-    "gain_zz": "scale_z",
-    "gain_xy": "cross_xy",
-    "gain_xz": "cross_xz",
-    "gain_yz": "cross_yz",
-}
+# As the report names offsets and gains, by their places in the state.
+_SCALES, _CROSSES = ("scale_x", "scale_y", "scale_z"), ("cross_xy", "cross_xz", "cross_yz")
+_REPORTED = (*NAMES[OFFSET], *_SCALES, *_CROSSES)
 
 
 def unobserved(fit: FourPositionsResult, prior: IronPrior = DEFAULT_PRIOR) -> tuple[str, ...]:
@@ -37,7 +29,7 @@ def unobserved(fit: FourPositionsResult, prior: IronPrior = DEFAULT_PRIOR) -> tu
 
     "mounting_yaw", a turn of the whole compass about the vertical, shows in no relative measurement.
     """
-    hidden = [_REPORTED[NAMES[place]] for place in hardly_known(fit.covariance, prior)]
+    hidden = [_REPORTED[place] for place in hardly_known(fit.covariance, prior)]
     return (*hidden, "mounting_yaw")
 
 

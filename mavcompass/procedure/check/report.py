@@ -46,18 +46,20 @@ class CheckReport:
         return bool(strategies_for(self.identity.kind, self.identity.autopilot))
 
     def summary(self) -> str:
-        """Return one sentence."""
+        """Say it in a sentence, and where something is wrong in another that nothing was turned."""
         wrong = [item for item in self.items if item.verdict == self.verdict]
         go, count = _GOES.get(self.identity.kind, "drive"), counted(len(self.items), "check")
+        told = self.turned or any(item.name == "turn" for item in self.items)
+        unturned = "" if told else " No turn was made."
         match self.verdict:
             case "pass":
                 return f"Fit to {go}: {count} passed{'' if self.turned else ', without a turn'}."
             case "warn":
                 more = f", and {len(wrong) - 1} more" if len(wrong) > 1 else ""
-                return f"Fit to {go}, with care: {wrong[0].text.rstrip('.')}{more}."
+                return f"Fit to {go}, with care: {wrong[0].text.rstrip('.')}{more}.{unturned}"
         cured = sorted({item.instance for item in wrong if item.instance and _is_calibration(item)})
         what = f"calibrate {named([f'compass {i}' for i in cured])}" if cured else wrong[0].text.rstrip(".")
-        return f"Not fit to {go}: {what}. {len(wrong)} of {count} failed."
+        return f"Not fit to {go}: {what}. {len(wrong)} of {count} failed.{unturned}"
 
     def to_json(self) -> dict[str, Any]:
         """Return the machine-readable form."""

@@ -12,7 +12,7 @@ from made_up_recordings import EARTH, four_stops, hovering, tumbling, wandering,
 
 from mavcompass.calibration import calibrate_track
 from mavcompass.calibration.methods._length import fit_ellipsoid, fit_sphere
-from mavcompass.calibration.observation import find_dwells, uncorrected_field
+from mavcompass.calibration.observation import find_dwells
 from mavcompass.errors import PoorCalibration
 from mavcompass.procedure.positions import Window, prove
 from mavcompass.track import Track
@@ -59,7 +59,7 @@ def test_a_proof(as_stored: Callable[[Any], None]) -> None:
 
 
 def test_lengths(as_stored: Callable[[Any], None]) -> None:
-    raw = uncorrected_field(tumbling(), 1)[::2]
+    raw = tumbling().raw_field(1, motors=False)[::2]
     fits = [fit_sphere(raw), fit_ellipsoid(raw), fit_ellipsoid(raw, EARTH.total_mgauss)]
     for fit in fits[1:]:
         assert fit.covariance.shape == (9, 9)

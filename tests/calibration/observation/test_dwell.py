@@ -16,7 +16,6 @@ from mavcompass.calibration.observation import (
     correction_at,
     dwell_between,
     field_lag_s,
-    uncorrected_field,
 )
 from mavcompass.calibration.observation.dwells import _memory
 from mavcompass.correction import FieldCorrection
@@ -135,10 +134,10 @@ def test_a_correction_that_changes_while_it_stands_changes_nothing() -> None:
     assert found.mean_mgauss == pytest.approx(FIELD) and found.unsteady_mgauss == 0.0
     compass = standing(reported, in_force=changes).compasses[1]
     assert correction_at(compass, 3.05) is SWING and correction_at(compass, 3.04) is not SWING
-    assert uncorrected_field(standing(reported, in_force=changes), 1) == pytest.approx(raw)
+    assert standing(reported, in_force=changes).raw_field(1, motors=False) == pytest.approx(raw)
     # The first holds before its time, too.
     late = (InForce(2.05, FieldCorrection()), InForce(3.05, SWING))
-    assert uncorrected_field(standing(reported, in_force=late), 1) == pytest.approx(raw)
+    assert standing(reported, in_force=late).raw_field(1, motors=False) == pytest.approx(raw)
 
 
 def test_whole_numbers_are_taken_back() -> None:
@@ -245,14 +244,9 @@ def data_of(*degrees: float) -> FourPositionData:
     return FourPositionData((at,) * (len(degrees) + 1), steps)
 
 
-def test_turns_around_a_position_left_out_are_joined() -> None:
+def test_positions_and_turns_alternate() -> None:
     data = data_of(90.0, 80.0, -20.0)
     assert np.degrees(data.turned_rad) == pytest.approx([0.0, 90.0, 170.0, 150.0])
-    for index, turned in ((0, [0.0, 80.0, 60.0]), (1, [0.0, 170.0, 150.0]), (2, [0.0, 90.0, 150.0])):
-        assert np.degrees(data.without(index).turned_rad) == pytest.approx(turned)
-    assert np.degrees(data.without(3).turned_rad) == pytest.approx([0.0, 90.0, 170.0])
-    joined = data.without(2).steps[1]
-    assert joined.sigma_rad == pytest.approx(math.hypot(0.02, 0.03)) and joined.duration_s == 23.0
     assert data_of().turned_rad.tolist() == [0.0] and not FourPositionData((), ()).steps
     with pytest.raises(ValueError, match="4 dwells need 3 steps"):
         FourPositionData(data.dwells, data.steps[:2])

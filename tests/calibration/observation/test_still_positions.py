@@ -136,7 +136,7 @@ def test_where_nothing_turns_it_says_so() -> None:
         observe(recorded(between(3.0, 5.0, 40.0)))
     with pytest.raises(PoorCalibration, match="no gyro, so neither stillness"):
         find_dwells(Track(compasses=recorded(FOUR).compasses))
-    with pytest.raises(PoorCalibration, match="no gyro, so the turned angles"):
+    with pytest.raises(PoorCalibration, match="no gyro, so neither stillness"):
         turns_between(Track(compasses=recorded(FOUR).compasses), [])
     with pytest.raises(KeyError):
         find_dwells(recorded(FOUR), 2)
