@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mavcompass.correction import IDENTITY, FieldCorrection
+from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
 
 
@@ -182,6 +183,17 @@ class Track:
         """Return the load that a motor correction goes with, at other times; None where not recorded."""
         series = {"current": self.current_a, "throttle": self.throttle}.get(source)
         return None if series is None else series.at(time_s)
+
+    def compass(self, instance: int) -> MagSeries:
+        """Return a compass's readings. Raises BadRecording where there are none."""
+        compass = self.compasses.get(instance)
+        if compass is not None and len(compass.reported):
+            return compass
+        known = ", ".join(str(i) for i in sorted(self.compasses)) or "none"
+        raise BadRecording(
+            f"{self.source or 'The recording'} has no readings of compass {instance} (it has: {known}).",
+            "Choose one of its compasses with --compass.",
+        )
 
     def raw_field(self, instance: int = 1, motors: bool = True) -> FloatArray:
         """Undo the corrections in force: the readings (N, 3) of one compass in body axes, milligauss.

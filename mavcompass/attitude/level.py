@@ -159,7 +159,7 @@ class Level:
         before = complex(self._x[0] + self._y[1], self._y[0] - self._x[1]) * 0.5
         self._turn_body(turn)
         after = complex(self._x[0] + self._y[1], self._y[0] - self._x[1]) * 0.5
-        raw = _dot(gyro_radps, self.down)
+        raw = dot(gyro_radps, self.down)
         if abs(raw) < 0.02:  # standing, or as good as
             self.bias_radps += min(step_s / 10.0, 1.0) * (raw - self.bias_radps)
         self.rate_radps = raw - self.bias_radps
@@ -197,8 +197,8 @@ class Level:
         d = (-math.sin(pitch_rad), cp * math.sin(roll_rad), cp * math.cos(roll_rad))
         turned = _cross(d, self._gyro)
         d = (d[0] + later_s * turned[0], d[1] + later_s * turned[1], d[2] + later_s * turned[2])
-        away = complex(_dot(self._x, d), _dot(self._y, d))
-        late2 = _dot(turned, turned) * _ESTIMATOR_LATE_S**2
+        away = complex(dot(self._x, d), dot(self._y, d))
+        late2 = dot(turned, turned) * _ESTIMATOR_LATE_S**2
         self._correct(((_TAU, 1.0), (_E, 1.0)), -1j * away - self._e, _ESTIMATOR_NOISE_RAD**2 + late2)
 
     # --- the filter ---------------------------------------------------------------------------------
@@ -210,39 +210,39 @@ class Level:
         self._bias, self._p = bias, _uncorrelated(known2)
         self.turned_rad, self.bias_radps = turned, biased
         self._time_s, self._acc, self._gyro = time_s, acc, gyro
-        norm = math.sqrt(_dot(acc, acc))
+        norm = math.sqrt(dot(acc, acc))
         self._g_mps2 = g + known * (norm - g)
         down = (0.0, 0.0, 1.0) if norm < 1.0 else (-acc[0] / norm, -acc[1] / norm, -acc[2] / norm)
         axis = (1.0, 0.0, 0.0) if abs(down[0]) < 0.9 else (0.0, 1.0, 0.0)
         side = _cross(down, axis)
-        length = math.sqrt(_dot(side, side))
+        length = math.sqrt(dot(side, side))
         self._y = (side[0] / length, side[1] / length, side[2] / length)
         self._x, self.down = _cross(self._y, down), down
-        self.rate_radps = _dot(gyro, down) - self.bias_radps
+        self.rate_radps = dot(gyro, down) - self.bias_radps
 
     def _turn_body(self, turn: Vector) -> None:
         """Turn the frame's rows by a small rotation of the body, in body axes."""
-        angle2 = _dot(turn, turn)
+        angle2 = dot(turn, turn)
         s, k = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
         self._square(_turned(self._x, turn, s, k), _turned(self._y, turn, s, k))
 
     def _square(self, x: Vector, y: Vector) -> None:
         """Take two rows and make them a rotation's."""
-        length = math.sqrt(_dot(x, x)) or 1.0
+        length = math.sqrt(dot(x, x)) or 1.0
         x = (x[0] / length, x[1] / length, x[2] / length)
-        along = _dot(x, y)
+        along = dot(x, y)
         y = (y[0] - along * x[0], y[1] - along * x[1], y[2] - along * x[2])
-        length = math.sqrt(_dot(y, y)) or 1.0
+        length = math.sqrt(dot(y, y)) or 1.0
         self._x, self._y = x, (y[0] / length, y[1] / length, y[2] / length)
         self.down = _cross(self._x, self._y)
 
     def _predict(self, step_s: float, acc: Vector, ahead: complex) -> None:
-        push = complex(_dot(self._x, acc), _dot(self._y, acc))
+        push = complex(dot(self._x, acc), dot(self._y, acc))
         self._pushed += min(step_s / 0.1, 1.0) * (push - self._pushed)
         self._slow += min(step_s / _STILL_S, 1.0) * (push - self._slow)
         away = push - self._slow
         self._calm2 += min(step_s / 0.3, 1.0) * (0.5 * (away.real**2 + away.imag**2) - self._calm2)
-        g = -_dot(self.down, acc)
+        g = -dot(self.down, acc)
         # Its mean is gravity's, whatever moves: no climb goes on for ever.
         self._g_mps2 += min(step_s / LASTS_S, 1.0) * (g - self._g_mps2)
         self._v += push * step_s
@@ -259,7 +259,7 @@ class Level:
         hidden2 = _HIDDEN_RADPS**2 * _LEAST_RATE2 / self._rate2
         doubt = ESTIMATOR_SIGMA_RAD**2 + (_YAW_DOUBT * abs(self._pushed) / _G) ** 2
         shaken2 = self._force2 * step_s * step_s + _HIDDEN_MPS2**2 * step_s
-        rolled2 = self._rate2 * step_s * step_s + _SCALE**2 * _dot(self._gyro, self._gyro) * step_s
+        rolled2 = self._rate2 * step_s * step_s + _SCALE**2 * dot(self._gyro, self._gyro) * step_s
         self._p = (
             own + along * lean.conjugate() + across * bend.conjugate() + shaken2,
             along + across * back,
@@ -327,7 +327,7 @@ class Level:
         """Where what is upheld is still, its specific force is gravity's."""
         if not self._upheld:
             return
-        rate2, g = _dot(self._gyro, self._gyro), -_dot(self.down, self._acc)
+        rate2, g = dot(self._gyro, self._gyro), -dot(self.down, self._acc)
         turns = rate2 > _STILL_RADPS**2 + 9.0 * self._rate2
         if turns or self._calm2 > 4.0 * self._force2 or g < 0.5 * _G:
             self._still_s = 0.0
@@ -366,7 +366,8 @@ def _column(p: Covariance, i: int) -> tuple[complex, ...]:
     return (vc, tc, bc, cc, ce.conjugate()) if i == _C else (ve, te, be, ce, ee)
 
 
-def _dot(a: Vector, b: Vector) -> float:
+def dot(a: Vector, b: Vector) -> float:
+    """Return the product of two vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 

@@ -189,13 +189,7 @@ def with_parameters(result: CalibrationResult, track: Track) -> CalibrationResul
 
 def _check_compass(track: Track, instance: int) -> None:
     """Refuse a missing or a dead compass, and an accelerometer that is dead."""
-    compass = track.compasses.get(instance)
-    if compass is None or not len(compass.reported):
-        known = ", ".join(str(i) for i in sorted(track.compasses)) or "none"
-        raise BadRecording(
-            f"{track.source or 'The recording'} has no readings of compass {instance} (it has: {known}).",
-            "Choose one of its compasses with --compass.",
-        )
+    compass = track.compass(instance)
     require_gravity(track.acc_mps2, PoorCalibration)
     reported = np.asarray(compass.reported.values)
     finite = reported[np.isfinite(reported).all(axis=1)]

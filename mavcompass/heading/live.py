@@ -12,13 +12,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from mavcompass.attitude import Level
+from mavcompass.attitude.level import Level, Vector, dot
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray
 from mavcompass.heading.doubt import TILT_SIGMA_RAD, UNKNOWN_CALIBRATION_SIGMA_RAD, CalibrationDoubt
-
-Vector = tuple[float, float, float]
 
 _TWO_PI = 2.0 * math.pi
 # Autopilots average the compass over 100 ms and repeat it: a turning vehicle's reading is old by about this
@@ -28,10 +26,6 @@ _QUANTUM_SIGMA_MGAUSS = 1.0 / math.sqrt(12.0)
 # What the field's strength tells of the calibration is averaged over some fifty readings a sector, and looked
 # at so often.
 _KEEP, _LOOK_S = 0.98, 0.5
-
-
-def _dot(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +109,7 @@ class LiveCompass:
         m = reading_mgauss
         if self._affine is not None:
             rx, ry, rz, offset = self._affine
-            m = (_dot(rx, m) + offset[0], _dot(ry, m) + offset[1], _dot(rz, m) + offset[2])
+            m = (dot(rx, m) + offset[0], dot(ry, m) + offset[1], dot(rz, m) + offset[2])
         dx, dy, dz = level.down
         ahead = math.sqrt(dy * dy + dz * dz)  # length of the horizontal part of the body's x axis
         if ahead < 1e-3:

@@ -75,13 +75,7 @@ def heading_of_track(
     Raises BadRecording where the compass is missing, the accelerometer is dead, or two_axis is wanted and the
     place is unknown.
     """
-    compass = track.compasses.get(instance)
-    if compass is None or not len(compass.reported):
-        known = ", ".join(str(i) for i in sorted(track.compasses)) or "none"
-        raise BadRecording(
-            f"{track.source or 'The recording'} has no readings of compass {instance} (it has: {known}).",
-            "Choose one of its compasses with --compass.",
-        )
+    compass = track.compass(instance)
     require_gravity(track.acc_mps2)
     world = earth_field_of(track, _UNKNOWN_YEAR)
     field = _field(track, correction, instance)

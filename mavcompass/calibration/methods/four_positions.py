@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from mavcompass.calibration.motion.findings import sparse_words
 from mavcompass.calibration.motion.observed import Motion, motion_or_none
+from mavcompass.calibration.motion.sections import sparse_words
 from mavcompass.calibration.observation import FourPositionData, assemble, dwell_between, observe, turn_record
 from mavcompass.calibration.positions.verdict import calibrate_positions
 from mavcompass.calibration.recorded import Recorded

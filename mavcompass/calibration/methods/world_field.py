@@ -62,14 +62,7 @@ def calibrate_motion(motion: Motion) -> CalibrationResult:
         honest = honest.at_least(disturbed.open_rad)
     mounting = _mounting_rad(motion)
     sigma = honest.error.rms_rad()
-    reasons, warnings = findings(
-        motion.sections,
-        motion.fit,
-        honest,
-        recorded.earth,
-        "none" if motion.motors_told else motion.load_source,
-        recorded.limits.heading_deg,
-    )
+    reasons, warnings = findings(motion, honest)
     if disturbed is not None:
         reason = disturbed.reason(recorded.limits.heading_deg)
         reasons, warnings = (

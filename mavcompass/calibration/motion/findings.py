@@ -9,9 +9,9 @@ import numpy as np
 from mavcompass.calibration.model import GAIN, GYRO_SCALE, HORIZONTAL, MOTOR, NO_HEADING_RAD
 from mavcompass.calibration.motion.fit import MotionFit
 from mavcompass.calibration.motion.honesty import Honesty
-from mavcompass.calibration.motion.sections import Sections
+from mavcompass.calibration.motion.observed import Motion
+from mavcompass.calibration.motion.sections import LEAST_CIRCLE_RAD, Sections, sparse_words
 from mavcompass.calibration.positions.verdict import share_words
-from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray, circle_covered_rad
 from mavcompass.units import DEG_PER_RAD
 
@@ -22,10 +22,6 @@ _GAIN_UNPROVEN, _VERTICAL_GAIN_KNOWN = 0.3, 0.035
 # Gains that differ by less are alike: the sensor's sensitivity, not steel, which bends the axes unequally.
 _ALIKE = 0.2
 _TURNED_MOUNT = 0.35
-# Less of the circle than this cannot tell iron from heading.
-LEAST_CIRCLE_RAD = math.radians(150.0)
-# A turn known no better shows nothing of the compass.
-_SPARSE_RAD = math.radians(5.0)
 _SCATTER_TOLD_DEG = 1.0
 # A gyro's scale is told where it is off by more than sensors come with, and by as many sigmas.
 _GYRO_SCALE_TOLD, _GYRO_SCALE_SIGMAS = 0.03, 3.0
@@ -34,18 +30,10 @@ _NAMED_SHARE = 0.1
 _MOTORS_REFUSED_SHARE = 0.6
 
 
-def findings(
-    sections: Sections,
-    fit: MotionFit,
-    honest: Honesty,
-    earth: EarthField | None,
-    load_source: str,
-    limit_deg: float,
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the reasons to refuse a fit, and what should be known of it otherwise.
-
-    `limit_deg` is the largest heading error that is accepted.
-    """
+def findings(motion: Motion, honest: Honesty) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the reasons to refuse the fit of a motion, and what should be known of it otherwise."""
+    sections, fit, limit_deg = motion.sections, motion.fit, motion.recorded.limits.heading_deg
+    load_source = "none" if motion.motors_told else motion.load_source
     reasons: list[str] = []
     warnings: list[str] = []
     sparse = sparse_words(sections)
@@ -66,7 +54,7 @@ def findings(
             "its orientation parameter is wrong (COMPASS_ORIENT, CAL_MAGn_ROT), or the gyro's axes are not "
             "the vehicle's. Correct the orientation and repeat."
         )
-    elif earth is not None and (about_gain := gain_words(gains)):
+    elif motion.recorded.earth is not None and (about_gain := gain_words(gains)):
         far = float(np.abs(gains - 1.0).max())
         believed = far < _GAIN_REFUSED and (far < _GAIN_UNPROVEN or _vertical_gain_known(fit))
         (warnings if believed else reasons).append(about_gain)
@@ -84,21 +72,6 @@ def findings(
         )
     warnings += [words for words in (_gyro_words(fit), _kept_out_words(sections, fit)) if words]
     return tuple(reasons), tuple(warnings)
-
-
-def sparse_words(sections: Sections) -> str:
-    """Say that the gyro was recorded too seldom to follow the turns, or "" where it was not."""
-    turning = np.abs(np.diff(sections.turned_rad)) > math.radians(10.0)
-    if not turning.any():
-        return ""
-    sigma = float(np.median(sections.step_sigma_rad[turning]))
-    if sigma < _SPARSE_RAD:
-        return ""
-    return (
-        f"The gyro was recorded too seldom to follow the turns: {sections.gyro_rate_hz:.1f} times a second, "
-        f"so that a turn is known to {sigma * DEG_PER_RAD:.0f} degrees. Record it 10 times a second or more, "
-        "or turn slower."
-    )
 
 
 def gain_words(gains: FloatArray) -> str:

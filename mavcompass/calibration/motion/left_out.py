@@ -16,10 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.calibration.motion.findings import LEAST_CIRCLE_RAD
 from mavcompass.calibration.motion.fit import level_headings, residual_of
 from mavcompass.calibration.motion.observed import Motion
-from mavcompass.calibration.motion.sections import Sections
+from mavcompass.calibration.motion.sections import LEAST_CIRCLE_RAD, Sections
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, circle_covered_rad, wrap_pi

@@ -9,10 +9,16 @@ import numpy as np
 
 from mavcompass.attitude import LASTS_S, levels
 from mavcompass.calibration.model import MOTOR
-from mavcompass.calibration.motion.findings import LEAST_CIRCLE_RAD, sparse_words
 from mavcompass.calibration.motion.fit import MotionFit, fit_motion, level_headings, sigma_of
 from mavcompass.calibration.motion.honesty import motors_left_rad, scatter_left_rad
-from mavcompass.calibration.motion.sections import ReferenceTurn, Sections, cut_sections, reference_turn
+from mavcompass.calibration.motion.sections import (
+    LEAST_CIRCLE_RAD,
+    ReferenceTurn,
+    Sections,
+    cut_sections,
+    reference_turn,
+    sparse_words,
+)
 from mavcompass.calibration.observation import (
     accelerometer_of,
     centred,

@@ -43,6 +43,10 @@ _SPARSE_S, _WORST_SPARSE = 0.2, 5.0
 _DENSE_S = 0.1
 _LOAD_STEP = 0.15
 _PARAMETERS_SETTLE_S = 2.0
+# Less of the circle than this cannot tell iron from heading.
+LEAST_CIRCLE_RAD = math.radians(150.0)
+# A turn known no better shows nothing of the compass.
+_SPARSE_RAD = math.radians(5.0)
 # One sigma of a reference's yaw, and how often it has to be told.
 _OPTICAL_SIGMA_RAD, _GPS_SIGMA_RAD = math.radians(0.3), math.radians(0.7)
 _FEWEST = 10
@@ -220,6 +224,21 @@ def cut_sections(
         load_mean=middle_load,
         repeats=np.bincount(visit)[visit].astype(float),
         gyro_rate_hz=1.0 / max(record.interval_s, 1e-6),
+    )
+
+
+def sparse_words(sections: Sections) -> str:
+    """Say that the gyro was recorded too seldom to follow the turns, or "" where it was not."""
+    turning = np.abs(np.diff(sections.turned_rad)) > math.radians(10.0)
+    if not turning.any():
+        return ""
+    sigma = float(np.median(sections.step_sigma_rad[turning]))
+    if sigma < _SPARSE_RAD:
+        return ""
+    return (
+        f"The gyro was recorded too seldom to follow the turns: {sections.gyro_rate_hz:.1f} times a second, "
+        f"so that a turn is known to {math.degrees(sigma):.0f} degrees. Record it 10 times a second or more, "
+        "or turn slower."
     )
 
 

@@ -1,45 +1,20 @@
 """What a calibration by turning looks at: where the vehicle stood still, how tilted, how far it turned."""
 
-from __future__ import annotations
-
-from mavcompass.calibration.observation.detector import UNREST, StillnessDetector
-from mavcompass.calibration.observation.dwells import (
-    Dwell,
-    FourPositionData,
-    Step,
-    around,
-    centred,
-    correction_at,
-    dwell_between,
-    field_lag_s,
-)
-from mavcompass.calibration.observation.rolling import WHEELED, rolls
-from mavcompass.calibration.observation.stillness import (
-    accelerometer_of,
-    assemble,
-    find_dwells,
-    observe,
-    turns_between,
-)
-from mavcompass.calibration.observation.turning import turn_record
-
-__all__ = [
-    "UNREST",
-    "WHEELED",
-    "Dwell",
-    "FourPositionData",
-    "Step",
-    "StillnessDetector",
-    "accelerometer_of",
-    "around",
-    "assemble",
-    "centred",
-    "correction_at",
-    "dwell_between",
-    "field_lag_s",
-    "find_dwells",
-    "observe",
-    "rolls",
-    "turn_record",
-    "turns_between",
-]
+from mavcompass.calibration.observation.detector import UNREST as UNREST
+from mavcompass.calibration.observation.detector import StillnessDetector as StillnessDetector
+from mavcompass.calibration.observation.dwells import Dwell as Dwell
+from mavcompass.calibration.observation.dwells import FourPositionData as FourPositionData
+from mavcompass.calibration.observation.dwells import Step as Step
+from mavcompass.calibration.observation.dwells import around as around
+from mavcompass.calibration.observation.dwells import centred as centred
+from mavcompass.calibration.observation.dwells import correction_at as correction_at
+from mavcompass.calibration.observation.dwells import dwell_between as dwell_between
+from mavcompass.calibration.observation.dwells import field_lag_s as field_lag_s
+from mavcompass.calibration.observation.rolling import WHEELED as WHEELED
+from mavcompass.calibration.observation.rolling import rolls as rolls
+from mavcompass.calibration.observation.stillness import accelerometer_of as accelerometer_of
+from mavcompass.calibration.observation.stillness import assemble as assemble
+from mavcompass.calibration.observation.stillness import find_dwells as find_dwells
+from mavcompass.calibration.observation.stillness import observe as observe
+from mavcompass.calibration.observation.stillness import turns_between as turns_between
+from mavcompass.calibration.observation.turning import turn_record as turn_record

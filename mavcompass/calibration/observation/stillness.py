@@ -31,7 +31,13 @@ from mavcompass.calibration.observation.dwells import (
 )
 from mavcompass.calibration.observation.rolling import rolls
 from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD, accelerometer_sigma_rad
-from mavcompass.calibration.observation.turning import GYRO_SCALE_SIGMA, TurnRecord, require_turn, turn_record
+from mavcompass.calibration.observation.turning import (
+    GYRO_SCALE_SIGMA,
+    TurnRecord,
+    require_turn,
+    stretches,
+    turn_record,
+)
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, circle_covered_rad
 from mavcompass.track import Track
@@ -88,16 +94,13 @@ def _still_windows(record: TurnRecord) -> list[tuple[float, float]]:
     rate, tilt = moving_average(time, rates, RATE_SMOOTHING_S).T
     tilt_floor = TILT_FLOOR * record.noise_radps
     quiet = (np.abs(rate) < STILL_RATE_RADPS) & (tilt < STILL_TILT_RATE_RADPS + tilt_floor)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], quiet, [False]]).astype(np.int8)))
     windows = []
-    for first, end in zip(edges[::2], edges[1::2], strict=True):
-        start = first
+    for start, end in stretches(quiet):
         while start < end:
             angles = record.angle_rad[start:end]
             low, high = np.minimum.accumulate(angles), np.maximum.accumulate(angles)
             beyond = np.flatnonzero(high - low > LONGEST_SWING_RAD)
-            stop = int(start + beyond[0]) if beyond.size else int(end)
-            stop = max(stop, int(start) + 1)
+            stop = max(start + int(beyond[0]), start + 1) if beyond.size else end
             begins = float(time[start]) + (_SETTLE_S if start > 0 else 0.0)
             ends = float(time[min(stop, time.size - 1)])
             if ends - begins >= _SHORTEST_DWELL_S:
@@ -113,9 +116,8 @@ def _standing(
     rows = slice(*np.searchsorted(time, window))
     if not rolling[rows].any():
         return [window]
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], rolling[rows], [True]]).astype(np.int8)))
     at = time[rows]
-    parts = [(float(at[a]), float(at[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    parts = [(float(at[a]), float(at[b - 1])) for a, b in stretches(~rolling[rows])]
     return [(a, b) for a, b in parts if b - a >= _SHORTEST_DWELL_S]
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavcompass.attitude import down_in_body, moving_average
 from mavcompass.calibration.observation.wire import white_noise
@@ -255,15 +256,20 @@ def _quiet_stretches(time: FloatArray, rate: FloatArray, limit_radps: float) -> 
     narrowest = int(np.argmin(slow[half:] - slow[:-half]))
     usual = float(slow[narrowest : narrowest + half + 1].mean())
     quiet = (np.abs(mean - usual) < _STEADY_RADPS) & (np.abs(mean) < limit_radps)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], quiet, [False]]).astype(np.int8)))
     out: list[tuple[float, float]] = []
-    for first, last in zip(edges[::2], edges[1::2] - 1, strict=True):
-        start, length = float(time[first]), float(time[last] - time[first])
+    for first, end in stretches(quiet):
+        start, length = float(time[first]), float(time[end - 1] - time[first])
         if length < _SHORTEST_S:
             continue
         cuts = np.linspace(start, start + length, max(math.ceil(length / _WINDOW_S - 1e-6), 1) + 1)
         out += [(float(a), float(b)) for a, b in pairwise(cuts)]
     return out
+
+
+def stretches(marked: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """List where each run of marked samples, (N,), begins, and where it has ended."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], marked, [False]]).astype(np.int8)))
+    return [(int(first), int(end)) for first, end in edges.reshape(-1, 2)]
 
 
 def _slope(time: FloatArray, field: FloatArray, quantum: float) -> tuple[FloatArray, float]:

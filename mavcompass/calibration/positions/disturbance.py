@@ -38,15 +38,14 @@ class DisturbanceBlend:
         state, covariance: of the mixture.
         probability: of each dwell having been disturbed, (K,).
         size_mgauss: how far each dwell's field is from what the others predict, (K,).
-        chi_square, freedom: of the likeliest hypothesis.
+        best: the fit by the likeliest hypothesis.
     """
 
     state: FloatArray
     covariance: FloatArray
     probability: FloatArray
     size_mgauss: FloatArray
-    chi_square: float
-    freedom: int
+    best: PositionFit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,14 +86,7 @@ def weigh_disturbances(problem: PositionProblem, fit: PositionFit) -> Disturbanc
     probability = hypotheses.probability(k)
     unlikely = float(probability.sum()) < _NEGLIGIBLE
     state, covariance = (fit.state, fit.covariance) if unlikely else hypotheses.mixture()
-    return DisturbanceBlend(
-        state=state,
-        covariance=covariance,
-        probability=probability,
-        size_mgauss=sizes,
-        chi_square=best.chi_square,
-        freedom=best.freedom,
-    )
+    return DisturbanceBlend(state, covariance, probability, sizes, best)
 
 
 def _linear(problem: PositionProblem, fit: PositionFit) -> tuple[_Hypotheses, FloatArray]:

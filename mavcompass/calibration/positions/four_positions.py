@@ -135,11 +135,10 @@ def solve_four_positions(
     problem = PositionProblem.of(data, in_force, earth, prior)
     fit = fit_positions(problem)
     undisturbed = weigh_disturbances(problem, fit)
-    consistency = chance_of_more(undisturbed.chi_square, undisturbed.freedom)
+    best = undisturbed.best
+    consistency = chance_of_more(best.chi_square, best.freedom)
     # A worse agreement than chance gives, whichever dwell is blamed: the noise is not what it seemed.
-    excess = (
-        max(undisturbed.chi_square / max(undisturbed.freedom, 1), 1.0) if consistency < WIDENED_BELOW else 1.0
-    )
+    excess = max(best.chi_square / max(best.freedom, 1), 1.0) if consistency < WIDENED_BELOW else 1.0
     covariance = excess * undisturbed.covariance
     blend = weigh_cross_terms(undisturbed.state, covariance, prior, leaning_error(problem, fit))
     residual = fit.residual

@@ -14,6 +14,7 @@ from mavcompass.calibration.motion.findings import (
     findings,
     gain_words,
 )
+from mavcompass.calibration.result import Limits
 from mavcompass.frames import circle_covered_rad
 from mavcompass.units import RAD_PER_DEG
 
@@ -61,7 +62,14 @@ def told(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     error = SimpleNamespace(rms_rad=lambda: rms_deg * RAD_PER_DEG)
     honest: Any = SimpleNamespace(error=error, scatter_rad=scatter_deg * RAD_PER_DEG)
-    return findings(seen or sections(), fitted or fit(), honest, earth, load, limit_deg=2.0)
+    motion: Any = SimpleNamespace(
+        sections=seen or sections(),
+        fit=fitted or fit(),
+        load_source=load,
+        motors_told=False,
+        recorded=SimpleNamespace(earth=earth, limits=Limits(2.0)),
+    )
+    return findings(motion, honest)
 
 
 def test_nothing_wrong_is_not_mentioned() -> None:

@@ -132,12 +132,12 @@ def test_the_unlikely_is_left_out_and_the_likely_fitted_anew() -> None:
     assert 0.0 < blend.probability.sum() < 0.1
     np.testing.assert_array_equal(blend.state, fitted(calm).state)
     np.testing.assert_array_equal(blend.covariance, fitted(calm).covariance)
-    assert blend.chi_square == fitted(calm).chi_square
+    assert blend.best.chi_square == fitted(calm).chi_square
     blend = weighed(hit)
     probability, mean, _ = exact(hit, REFIT_SIZES_MGAUSS)
     np.testing.assert_allclose(blend.probability, probability, rtol=1e-8, atol=1e-12)
     np.testing.assert_allclose(blend.state, mean, rtol=1e-8)
-    assert blend.chi_square == pytest.approx(fitted(hit.loosened(2, 40.0)).chi_square)
+    assert blend.best.chi_square == pytest.approx(fitted(hit.loosened(2, 40.0)).chi_square)
 
 
 @pytest.mark.usefixtures("linear")

@@ -79,7 +79,7 @@ def test_a_fit(data: FourPositionData, world: bool, as_stored: AsStored) -> None
             "whiten": problem.whiten[::2],
             "state": fit.state,
             "weights": fit.weights,
-            "one": [fit.cost, fit.chi_square, fit.freedom, blend.chi_square, blend.freedom],
+            "one": [fit.cost, fit.chi_square, fit.freedom, blend.best.chi_square, blend.best.freedom],
             "sigma": np.sqrt(np.diag(fit.covariance)),
             "disturbed": blend.probability,
             "size": blend.size_mgauss,
