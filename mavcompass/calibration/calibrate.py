@@ -131,9 +131,6 @@ def learn_compasses(
 ) -> dict[int, Learnt | MavCompassError]:
     """Tell what some minutes of work show of compasses, or why they show nothing of one."""
 
-    def learnt(of: Track, instance: int) -> CalibrationResult:
-        return learn(Recorded(of, instance, earth, limits)).result
-
     found: dict[int, Learnt | MavCompassError] = {}
     for i in instances:
         try:
@@ -141,29 +138,27 @@ def learn_compasses(
             found[i] = learn(Recorded(track, i, earth, limits))
         except MavCompassError as error:
             found[i] = error
-    results = {i: one.result for i, one in found.items() if isinstance(one, Learnt)}
-    case = Case(track, results, earth, limits, learnt)
-    for i, result in results.items():
-        judged = with_parameters(judge(case, result), track)
-        found[i] = replace(found[i], result=judged)  # type: ignore[type-var]
-    return found
+    learnt = {i: one for i, one in found.items() if isinstance(one, Learnt)}
+    results = {i: one.result for i, one in learnt.items()}
+    case = Case(track, results, earth, limits, lambda of, i: learn(Recorded(of, i, earth, limits)).result)
+    judged = {
+        i: replace(one, result=with_parameters(judge(case, one.result), track)) for i, one in learnt.items()
+    }
+    return {**found, **judged}
 
 
 def _would_do(recorded: Recorded, refused: str) -> tuple[str, ...]:
     """Name the methods that would accept what one refused."""
-    return tuple(
-        f"--method {name} would accept this recording: heading within {other.heading_sigma_deg:.1f} deg."
-        for name in _OTHERS
-        if name != refused and (other := _accepted(recorded, name)) is not None
-    )
-
-
-def _accepted(recorded: Recorded, method: str) -> CalibrationResult | None:
-    try:
-        result = find_method(method)(recorded)
-    except PoorCalibration:
-        return None
-    return result if result.accepted else None
+    said: list[str] = []
+    for name in _OTHERS:
+        try:
+            other = find_method(name)(recorded) if name != refused else None
+        except PoorCalibration:
+            continue
+        if other is not None and other.accepted:
+            within = f"heading within {other.heading_sigma_deg:.1f} deg"
+            said.append(f"--method {name} would accept this recording: {within}.")
+    return tuple(said)
 
 
 def _refused(track: Track, method: str, instance: int, refusal: PoorCalibration) -> CalibrationResult:

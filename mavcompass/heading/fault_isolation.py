@@ -123,15 +123,12 @@ class FaultIsolation:
         seen = [i for i in self.likeliest if not math.isnan(self.sources[i].deviation_rad[0])]
         others = [self.sources[i].name for i in seen if i != index]
         shows = [name for name, z in mine.by_itself.items() if abs(z) > 2.0]
-        also = f"; the {' and the '.join(shows)} {_speak(shows)} against it, too" if shows else ""
+        speak = "speaks" if len(shows) == 1 else "speak"
+        also = f"; the {' and the '.join(shows)} {speak} against it, too" if shows else ""
         agree = f"{named(others)}{', which agree' if len(others) > 1 else ''}"
         if not others:
-            return f"{_capital(mine.name)} disagrees with {' and '.join(shows) or 'all others'}."
-        return f"{_capital(mine.name)} is {apart_deg:.0f} deg from {agree}{also}."
-
-
-def _speak(names: Sequence[str]) -> str:
-    return "speaks" if len(names) == 1 else "speak"
+            return f"{mine.name.capitalize()} disagrees with {' and '.join(shows) or 'all others'}."
+        return f"{mine.name.capitalize()} is {apart_deg:.0f} deg from {agree}{also}."
 
 
 def isolate_faults(sources: Sequence[HeadingSource]) -> FaultIsolation:
@@ -196,7 +193,3 @@ def named(names: Sequence[str]) -> str:
         listed = " and ".join([", ".join(compasses[:-1]), compasses[-1]])
         names = [f"compasses {listed}", *rest]
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]

@@ -49,7 +49,7 @@ class LengthFit:
     Attributes:
         centre_mgauss: c, (3,). matrix: M, (3, 3), the identity for the sphere.
         length_mgauss: F. covariance: of c and, for the ellipsoid, M's six (xx, yy, zz, xy, xz, yz).
-        residual_rms_mgauss, residual_relative: of the length, and divided by F.
+        residual_rms_mgauss: of the length.
         coverage: the share of 80 equal patches of the sphere that hold a reading.
     """
 
@@ -58,7 +58,6 @@ class LengthFit:
     length_mgauss: float
     covariance: FloatArray
     residual_rms_mgauss: float
-    residual_relative: float
     coverage: float
 
 
@@ -204,14 +203,12 @@ def _length_fit(
     covariance: FloatArray,
     residual: FloatArray,
 ) -> LengthFit:
-    rms = math.sqrt(float((residual**2).mean()))
     return LengthFit(
         centre_mgauss=centre,
         matrix=matrix,
         length_mgauss=length,
         covariance=covariance,
-        residual_rms_mgauss=rms,
-        residual_relative=rms / length,
+        residual_rms_mgauss=math.sqrt(float((residual**2).mean())),
         coverage=sphere_coverage((raw - centre) @ matrix),
     )
 
@@ -245,7 +242,7 @@ def length_result(
     state[HORIZONTAL], state[VERTICAL] = horizontal, vertical
     error = HeadingError(state, covariance)
     # The length says nothing of what it leaves over; on the horizontal it turns the heading.
-    sigma = math.hypot(error.rms_rad(), fit.residual_relative * fit.length_mgauss / horizontal)
+    noise, left = error.rms_rad(), fit.residual_rms_mgauss / horizontal
     reasons = []
     if fit.coverage < _LEAST_COVERAGE:
         reasons.append(
@@ -264,11 +261,8 @@ def length_result(
         covariance=covariance,
         not_observable=("mounting_yaw",),
         residual_rms_mgauss=fit.residual_rms_mgauss,
-        heading_sigma_deg=math.degrees(sigma),
-        heading_budget_deg={
-            "noise": math.degrees(error.rms_rad()),
-            "disturbance": math.degrees(fit.residual_relative * fit.length_mgauss / horizontal),
-        },
+        heading_sigma_deg=math.degrees(math.hypot(noise, left)),
+        heading_budget_deg={"noise": math.degrees(noise), "disturbance": math.degrees(left)},
         heading_error=error,
         horizontal_mgauss=horizontal,
         vertical_mgauss=vertical,

@@ -165,17 +165,9 @@ def dwell_between(
         )
     in_force = correction_at(compass, float(time[-1]))
     if correction_at(compass, float(time[0])) != in_force:
-        raw = np.concatenate(
-            [
-                correction_at(compass, float(t)).undo(row)[np.newaxis]
-                for t, row in zip(time, reported, strict=True)
-            ]
-        )
-        reported = in_force.apply(raw)
-    record = turn or turn_record(track, instance)
-    lag = field_lag_s(track)
-    angles = record.angle_at(time - lag) if record is not None else np.zeros(time.size)
-    return _dwell(track, compass, in_force, time, reported, angles, record)
+        was = [correction_at(compass, float(t)) for t in time]
+        reported = in_force.apply(np.array([c.undo(row) for c, row in zip(was, reported, strict=True)]))
+    return _dwell(track, compass, in_force, time, reported, turn or turn_record(track, instance))
 
 
 def around(track: Track, start_s: float, end_s: float) -> Track:
@@ -194,10 +186,10 @@ def _dwell(
     in_force: FieldCorrection,
     time: FloatArray,
     reported: FloatArray,
-    angles: FloatArray,
     record: TurnRecord | None,
 ) -> Dwell:
     felt_s = time - field_lag_s(track)
+    angles = record.angle_at(felt_s) if record is not None else np.zeros(time.size)
     down = down_in_body(track, felt_s)
     motion = np.column_stack([angles, down[:, :2]])
     fresh, _ = effective_count(reported)

@@ -47,17 +47,13 @@ from mavcompass.frames import FloatArray, wrap_two_pi
 WIDENED_BELOW = 0.01
 # A dwell with at least this probability of having been disturbed is named.
 _SUSPECT = 0.05
-# As the report names them.
-SOURCES = (
-    "noise",
-    "step_angle",
-    "tilt",
-    ACCELEROMETER,
-    "world_model",
-    "quantisation",
-    "disturbance",
-    "prior",
-)
+# As the report names them; what the prior holds of the state counts for one of them.
+_PARTS = ("noise", "step_angle", "tilt", ACCELEROMETER, "world_model", "quantisation", "disturbance", "prior")
+_SOURCE_OF = {
+    **dict.fromkeys((GYRO_SCALE, GYRO_BIAS), "step_angle"),
+    **dict.fromkeys((HORIZONTAL, VERTICAL), "world_model"),
+    **dict.fromkeys(range(MOTOR.start, MOTOR.stop), "disturbance"),
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,19 +180,15 @@ def heading_budget(problem: PositionProblem, fit: PositionFit, blend: Blend) -> 
     gradient[:, :9] = heading_gradient(blend.state, circle)
     gains = gradient @ fit.covariance @ fit.jacobian.T  # heading by whitened residual, (36, R)
     field = gains[:, : 3 * k].reshape(36, k, 3)
-    variance = dict.fromkeys(SOURCES, 0.0)
-    for name, part in (
-        ("noise", problem.noise),
-        ("quantisation", problem.quantisation),
-        ("tilt", problem.tilt),
-    ):
+    variance = dict.fromkeys(_PARTS, 0.0)
+    for name, part in problem.parts.items():
         unit = problem.whiten @ part @ np.swapaxes(problem.whiten, 1, 2)
         variance[name] = float(np.einsum("nki,kij,nkj->n", field, unit, field).mean())
     variance[ACCELEROMETER] = float(((gradient @ blend.shared) ** 2).sum(axis=1).mean())
     rest = (gains[:, 3 * k :] ** 2).mean(axis=0)
     variance["step_angle"] = float(rest[: k - 1].sum())
     for place, share in zip(problem.rules.places, rest[k - 1 : -1], strict=True):
-        variance[_source_of(place)] += float(share)
+        variance[_SOURCE_OF.get(place, "prior")] += float(share)
     variance["prior"] += float(rest[-1])
     # What the blends add (was a dwell disturbed? are there cross terms?) or save goes to the disturbance,
     # or lowers all alike.
@@ -206,13 +198,3 @@ def heading_budget(problem: PositionProblem, fit: PositionFit, blend: Blend) -> 
         variance["disturbance"] += whole - sum_of_parts
         sum_of_parts = whole
     return {name: math.sqrt(value * whole / sum_of_parts) for name, value in variance.items()}
-
-
-def _source_of(place: int) -> str:
-    if place in (GYRO_SCALE, GYRO_BIAS):
-        return "step_angle"
-    if place in (HORIZONTAL, VERTICAL):
-        return "world_model"
-    if MOTOR.start <= place < MOTOR.stop:
-        return "disturbance"
-    return "prior"

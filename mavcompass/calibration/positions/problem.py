@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,9 +48,7 @@ class PositionProblem:
     readings: Readings
     rules: PriorRows
     whiten: FloatArray  # (K, 3, 3), maps residuals to unit variance
-    noise: FloatArray  # (K, 3, 3) and so on: the parts of the residuals' covariance
-    quantisation: FloatArray
-    tilt: FloatArray
+    parts: Mapping[str, FloatArray]  # of the residuals' covariance, by source, (K, 3, 3) each
     leaning: FloatArray  # (K, 3, 2): one sigma of the accelerometer's error, common to all, in the field
     start: FloatArray  # (P,)
     mirrored: bool
@@ -92,14 +91,11 @@ class PositionProblem:
         leaning = by_tilt(tilts, start, start[HEADINGS:])
         sigma2 = np.array([d.tilt_sigma_rad for d in dwells])[:, np.newaxis, np.newaxis] ** 2
         tilt = leaning @ np.swapaxes(leaning, 1, 2) * sigma2
-        factor = np.linalg.cholesky(noise + quantisation + tilt)
         return cls(
             readings=readings,
             rules=rules,
-            whiten=np.linalg.inv(factor),
-            noise=noise,
-            quantisation=quantisation,
-            tilt=tilt,
+            whiten=np.linalg.inv(np.linalg.cholesky(noise + quantisation + tilt)),
+            parts={"noise": noise, "quantisation": quantisation, "tilt": tilt},
             leaning=leaning * data.tilt_bias_sigma_rad,
             start=start,
             mirrored=mirrored,
@@ -107,12 +103,10 @@ class PositionProblem:
 
     def loosened(self, index: int, size_mgauss: float) -> PositionProblem:
         """Let one dwell's field be off by an unknown amount of that size, each axis."""
-        noise = self.noise.copy()
-        noise[index] += size_mgauss**2 * np.eye(3)
-        whiten = self.whiten.copy()
-        covariance = noise[index] + self.quantisation[index] + self.tilt[index]
-        whiten[index] = np.linalg.inv(np.linalg.cholesky(covariance))
-        return replace(self, noise=noise, whiten=whiten)
+        parts, whiten = {**self.parts, "noise": self.parts["noise"].copy()}, self.whiten.copy()
+        parts["noise"][index] += size_mgauss**2 * np.eye(3)
+        whiten[index] = np.linalg.inv(np.linalg.cholesky(sum(part[index] for part in parts.values())))
+        return replace(self, parts=parts, whiten=whiten)
 
     def with_pose(
         self, state: FloatArray, turn_rad: float, roll_rad: float, pitch_rad: float, step: Step
@@ -122,7 +116,7 @@ class PositionProblem:
         psi = float(state[-1]) + turn_rad
         level = level_field(psi, state[HORIZONTAL], state[VERTICAL])
         reading = state[OFFSET] + gain_matrix(state[GAIN]) @ tilt @ level
-        best = int(np.argmin(np.trace(self.noise + self.quantisation + self.tilt, axis1=1, axis2=2)))
+        best = int(np.argmin(np.trace(sum(self.parts.values()), axis1=1, axis2=2)))
 
         def grown(array: FloatArray, value: FloatArray) -> FloatArray:
             return np.concatenate([array, np.asarray(value)[np.newaxis]])
@@ -135,9 +129,7 @@ class PositionProblem:
             rules=replace(self.rules, rows=np.pad(self.rules.rows, ((0, 0), (0, 1)))),
             start=grown(state, np.array(psi)),
             whiten=grown(self.whiten, self.whiten[best]),
-            noise=grown(self.noise, self.noise[best]),
-            quantisation=grown(self.quantisation, self.quantisation[best]),
-            tilt=grown(self.tilt, self.tilt[best]),
+            parts={name: grown(part, part[best]) for name, part in self.parts.items()},
             leaning=grown(self.leaning, self.leaning[best]),
         )
 

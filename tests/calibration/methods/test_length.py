@@ -56,7 +56,7 @@ def test_noise_leaves_what_theory_says() -> None:
     # N even directions: 3 s^2 / N of each axis.
     assert np.sqrt(np.diag(fit.covariance)) == pytest.approx([4.0 * math.sqrt(3.0 / 400.0)] * 3, rel=0.08)
     assert fit.residual_rms_mgauss == pytest.approx(4.0, rel=0.06)
-    assert fit.residual_relative == pytest.approx(4.0 / 500.0, rel=0.06)
+    assert fit.residual_rms_mgauss / fit.length_mgauss == pytest.approx(4.0 / 500.0, rel=0.06)
     assert fit.centre_mgauss == pytest.approx(CENTRE, abs=1.2)
 
 
@@ -75,7 +75,8 @@ def test_without_a_length_the_covariance_is_of_the_scaled_matrix() -> None:
     scale = np.array([1.0] * 3 + [factor] * 6)
     assert unknown.covariance == pytest.approx(known.covariance * np.outer(scale, scale), rel=1e-4, abs=1e-12)
     assert unknown.residual_rms_mgauss == pytest.approx(factor * known.residual_rms_mgauss, rel=1e-4)
-    assert unknown.residual_relative == pytest.approx(known.residual_relative, rel=1e-4)
+    scale = unknown.length_mgauss / known.length_mgauss
+    assert unknown.residual_rms_mgauss == pytest.approx(scale * known.residual_rms_mgauss, rel=1e-4)
 
 
 def test_a_few_wild_readings_hardly_move_it() -> None:

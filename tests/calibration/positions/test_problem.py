@@ -152,7 +152,7 @@ def test_readings_are_weighed_by_noise_steps_and_tilt() -> None:
 
 
 def covariance_of(problem: PositionProblem, k: int) -> Any:
-    return problem.noise[k] + problem.quantisation[k] + problem.tilt[k]
+    return np.asarray(sum(part[k] for part in problem.parts.values()))
 
 
 @pytest.mark.parametrize(
