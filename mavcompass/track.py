@@ -116,6 +116,11 @@ class MagSeries:
         """Return the times of the readings, (N,)."""
         return self.reported.time_s
 
+    def correction_at(self, time_s: float) -> FieldCorrection:
+        """Return the correction in force at a time."""
+        begun = [step.correction for step in self.in_force if step.from_s <= time_s]
+        return begun[-1] if begun else self.in_force[0].correction
+
 
 def uncut(values: FloatArray, step: float) -> FloatArray:
     """Put numbers that were cut toward zero into the middle of their steps, so that averages are right."""

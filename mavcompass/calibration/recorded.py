@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from mavcompass.calibration.observation import correction_at
 from mavcompass.calibration.result import DEFAULT_LIMITS, Limits
 from mavcompass.calibration.rigid import DEFAULT_PRIOR, IronPrior
 from mavcompass.correction import FieldCorrection
@@ -37,4 +36,4 @@ class Recorded:
         compass = self.track.compasses[self.instance]
         if compass.not_applied is not None:
             return compass.not_applied
-        return correction_at(compass, float(compass.time_s[-1]))
+        return compass.correction_at(float(compass.time_s[-1]))

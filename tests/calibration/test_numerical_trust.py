@@ -19,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavcompass.calibration import calibrate_track, solve_four_positions
-from mavcompass.calibration.methods._length import _length_jacobian
+from mavcompass.calibration.methods.ellipsoid import _length_jacobian
 from mavcompass.calibration.model import (
     GAIN,
     HEADINGS,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mavcompass.calibration.methods._length import fit_sphere, length_result
+from mavcompass.calibration.methods.ellipsoid import fit_sphere, length_result
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult
 

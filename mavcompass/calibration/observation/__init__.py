@@ -7,7 +7,6 @@ from mavcompass.calibration.observation.dwells import FourPositionData as FourPo
 from mavcompass.calibration.observation.dwells import Step as Step
 from mavcompass.calibration.observation.dwells import around as around
 from mavcompass.calibration.observation.dwells import centred as centred
-from mavcompass.calibration.observation.dwells import correction_at as correction_at
 from mavcompass.calibration.observation.dwells import dwell_between as dwell_between
 from mavcompass.calibration.observation.dwells import field_lag_s as field_lag_s
 from mavcompass.calibration.observation.rolling import WHEELED as WHEELED

@@ -121,15 +121,6 @@ def field_lag_s(track: Track) -> float:
     return ARDUPILOT_LAG_S if track.autopilot == "ardupilot" else 0.0
 
 
-def correction_at(compass: MagSeries, time_s: float) -> FieldCorrection:
-    """Return the correction in force at a time."""
-    current = compass.in_force[0]
-    for step in compass.in_force:
-        if step.from_s <= time_s:
-            current = step
-    return current.correction
-
-
 def centred(track: Track, instance: int) -> Track:
     """Put readings that were cut toward zero into the middle of their steps, so that averages are right.
 
@@ -163,9 +154,9 @@ def dwell_between(
             f"Compass {instance} has {time.size} readings between {start_s:.1f} s and {end_s:.1f} s.",
             "Stand still longer, or ask for a higher message rate.",
         )
-    in_force = correction_at(compass, float(time[-1]))
-    if correction_at(compass, float(time[0])) != in_force:
-        was = [correction_at(compass, float(t)) for t in time]
+    in_force = compass.correction_at(float(time[-1]))
+    if compass.correction_at(float(time[0])) != in_force:
+        was = [compass.correction_at(float(t)) for t in time]
         reported = in_force.apply(np.array([c.undo(row) for c, row in zip(was, reported, strict=True)]))
     return _dwell(track, compass, in_force, time, reported, turn or turn_record(track, instance))
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mavcompass.calibration.methods._length import (
+from mavcompass.calibration.methods.ellipsoid import (
     _algebraic_sphere,
     fit_ellipsoid,
     fit_sphere,

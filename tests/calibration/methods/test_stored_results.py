@@ -11,7 +11,7 @@ import pytest
 from made_up_recordings import EARTH, four_stops, hovering, tumbling, wandering, with_magnet
 
 from mavcompass.calibration import calibrate_track
-from mavcompass.calibration.methods._length import fit_ellipsoid, fit_sphere
+from mavcompass.calibration.methods.ellipsoid import fit_ellipsoid, fit_sphere
 from mavcompass.calibration.observation import find_dwells
 from mavcompass.errors import PoorCalibration
 from mavcompass.procedure.positions import Window, prove

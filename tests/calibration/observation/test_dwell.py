@@ -13,7 +13,6 @@ from mavcompass.calibration.observation import (
     FourPositionData,
     Step,
     centred,
-    correction_at,
     dwell_between,
     field_lag_s,
 )
@@ -133,7 +132,7 @@ def test_a_correction_that_changes_while_it_stands_changes_nothing() -> None:
     found = dwell(reported, in_force=changes)
     assert found.mean_mgauss == pytest.approx(FIELD) and found.unsteady_mgauss == 0.0
     compass = standing(reported, in_force=changes).compasses[1]
-    assert correction_at(compass, 3.05) is SWING and correction_at(compass, 3.04) is not SWING
+    assert compass.correction_at(3.05) is SWING and compass.correction_at(3.04) is not SWING
     assert standing(reported, in_force=changes).raw_field(1, motors=False) == pytest.approx(raw)
     # The first holds before its time, too.
     late = (InForce(2.05, FieldCorrection()), InForce(3.05, SWING))
