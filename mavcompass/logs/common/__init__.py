@@ -8,12 +8,12 @@ from mavcompass.logs.common.chunks import (
     MOST_LINE,
     ByteArray,
     Chunk,
+    GrowingArray,
     IntArray,
     not_overlapping,
     read_chunks,
     windows,
 )
-from mavcompass.logs.common.growing import GrowingArray
 from mavcompass.logs.common.motors import motor_outputs
 from mavcompass.logs.common.notes import damage, restarts, said_nothing, unknown_correction
 from mavcompass.logs.common.ordering import finite_series, in_order, spoken

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pymavlink import mavutil
 from recorded_frames import Recording, attitude, frame, heartbeat, parameter, raw_imu, sys_status
 
-from mavcompass.logs.formats.tlog.checksum import checksums
+from mavcompass.logs.formats.tlog.frames import checksums
 from mavcompass.logs.formats.tlog.messages import ALL_FIELDS, TlogContents, read_messages, record_type
 from mavcompass.mavlink.dialect import describe, message_ids
 
