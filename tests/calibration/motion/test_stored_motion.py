@@ -33,6 +33,7 @@ from mavcompass.calibration.motion.honesty import weigh_honestly
 from mavcompass.calibration.motion.left_out import calm_since_s, last_stretch, without_disturbed_stop
 from mavcompass.calibration.motion.observed import Motion, observe_motion
 from mavcompass.calibration.recorded import Recorded
+from mavcompass.calibration.result import Limits
 
 AsStored = Callable[[Any], None]
 MADE: dict[str, Callable[[], Recorded]] = {
@@ -118,8 +119,8 @@ def test_where_the_fit_begins(motion: Motion, as_stored: AsStored) -> None:
 
 def test_what_it_may_claim(motion: Motion, as_stored: AsStored) -> None:
     honest = weigh_honestly(motion.sections, motion.fit)
-    earth, source = motion.recorded.earth, motion.load_source
-    told = [findings(motion.sections, motion.fit, honest, earth, source, limit) for limit in (0.3, 2.0)]
+    limited = [replace(motion.recorded, limits=Limits(limit)) for limit in (0.3, 2.0)]
+    told = [findings(replace(motion, motors_told=False, recorded=one), honest) for one in limited]
     later, change = last_stretch(motion)
     disturbed = without_disturbed_stop(motion)
     as_stored(
