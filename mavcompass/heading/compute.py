@@ -96,6 +96,7 @@ def _blocks(field: FloatArray, acc: FloatArray) -> FloatArray:
         out = heading[rows]
         np.arctan2(e, r, out=out)
         np.add(out, 2.0 * np.pi, out=out, where=out < 0.0)
+    heading[heading >= 2.0 * np.pi] = 0.0  # -1e-17 + 2 pi rounds to 2 pi itself
     return heading
 
 
