@@ -35,26 +35,34 @@ def read_track(path: str | Path) -> Track:
 
 
 def calibrate(
-    track: Recorded, method: str = "auto", instance: int = 1, max_heading_error_deg: float = 2.0
+    track: Recorded,
+    method: str = "auto",
+    instance: int = 1,
+    max_heading_error_deg: float = 2.0,
+    true_heading_rad: float | None = None,
+    true_heading_sigma_rad: float | None = None,
 ) -> CalibrationResult:
     """Calibrate one compass of a recording.
 
     Args:
         track: or the path of a recording.
         method: auto (what the recording can bear), four-positions, four-positions-textbook, min-max,
-            sensitivity-bias, sphere, ellipsoid or world-field.
+            sensitivity-bias, sphere, ellipsoid, world-field or one-point.
         instance: which compass, from 1.
         max_heading_error_deg: what is accepted at most.
+        true_heading_rad, true_heading_sigma_rad: for one-point, where the vehicle stands; without it a second
+            antenna's.
 
     A calibration that is not good enough comes back with `accepted` False and its reasons.
     Raises PoorCalibration where there is no solution at all, UsageError for an unknown method.
     """
     from mavcompass.calibration import calibrate_track
-    from mavcompass.calibration.result import CalibrationResult, Limits, summary
+    from mavcompass.calibration.result import CalibrationResult, Limits, summary, true_heading
 
     _shows(CalibrationResult, lambda result: [summary(result), *result.reasons, *result.warnings])
     limits = Limits(heading_deg=max_heading_error_deg)
-    return calibrate_track(_track(track), method=method, instance=instance, limits=limits)
+    given = true_heading(true_heading_rad, true_heading_sigma_rad)
+    return calibrate_track(_track(track), method, instance, limits=limits, true_heading=given)
 
 
 def heading(track: Recorded, correction: FieldCorrection | None = None, instance: int = 1) -> HeadingResult:

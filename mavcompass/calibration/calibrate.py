@@ -13,7 +13,7 @@ from mavcompass.calibration.judge import Case, judge
 from mavcompass.calibration.methods import find_method
 from mavcompass.calibration.methods.running import Learnt, learn
 from mavcompass.calibration.recorded import Recorded
-from mavcompass.calibration.result import DEFAULT_LIMITS, CalibrationResult, Limits
+from mavcompass.calibration.result import DEFAULT_LIMITS, CalibrationResult, Limits, TrueHeading
 from mavcompass.compass_parameters import values
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import BadRecording, MavCompassError, PoorCalibration
@@ -39,6 +39,7 @@ def calibrate_track(
     use_world_model: bool = True,
     windows: Sequence[tuple[float, float]] | None = None,
     turn: bool = False,
+    true_heading: TrueHeading | None = None,
 ) -> CalibrationResult:
     """Calibrate one compass of a recording; see `calibrate_compasses`.
 
@@ -55,6 +56,7 @@ def calibrate_track(
         use_world_model=use_world_model,
         windows=windows,
         turn=turn,
+        true_heading=true_heading,
     )
     return found[instance]
 
@@ -70,6 +72,7 @@ def calibrate_compasses(
     use_world_model: bool = True,
     windows: Sequence[tuple[float, float]] | None = None,
     turn: bool = False,
+    true_heading: TrueHeading | None = None,
 ) -> dict[int, CalibrationResult]:
     """Calibrate compasses of one recording (None: all), each judged by all that was recorded beside it.
 
@@ -80,9 +83,10 @@ def calibrate_compasses(
         limits: what is accepted.
         earth: the Earth's field; None takes it from the recording's place and date.
         use_world_model: False leaves scale and Z alone even where the place is known.
-        windows: the still stretches (start, end) for four-positions; None finds them.
+        windows: the still stretches (start, end) for four-positions and one-point; None finds them.
         turn: True takes a compass that is mounted turned as it is mounted: its result then sets the
             orientation, too.
+        true_heading: for one-point; None takes a second antenna's.
 
     One without a solution is refused with its reason. Raises what `calibrate_track` raises, PoorCalibration
     only where no compass that is asked for has a solution.
@@ -92,7 +96,7 @@ def calibrate_compasses(
     world = (earth or earth_field_of(track)) if use_world_model else None
 
     def solved(of: Track, instance: int) -> CalibrationResult:
-        return solve(Recorded(of, instance, world, limits, windows=windows))
+        return solve(Recorded(of, instance, world, limits, windows=windows, true_heading=true_heading))
 
     results: dict[int, CalibrationResult] = {}
     refusals: dict[int, PoorCalibration] = {}

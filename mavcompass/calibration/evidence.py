@@ -121,7 +121,8 @@ def gather(
             doubt = math.hypot(_IN_FORCE_RAD, sigma)
             sources.append(HeadingSource(f"compass {instance}", (a, math.nan, math.nan), doubt))
     if len(moments.time_s):
-        sources += _elsewhere(moments, result.instance)
+        given = "" if result.true_heading is None else result.true_heading.by
+        sources += [source for source in _elsewhere(moments, result.instance) if source.name != given]
     return Evidence(tuple(sources), min(scatters, default=0.0))
 
 

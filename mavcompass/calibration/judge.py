@@ -60,8 +60,12 @@ class Case:
     windows: Sequence[tuple[float, float]] | None = None
 
     def others(self, result: CalibrationResult) -> dict[int, CalibrationResult]:
-        """Return the results of all compasses but one's."""
-        return {i: other for i, other in self.results.items() if i != result.instance}
+        """Return the other compasses' results, but those that agree since they were given one heading."""
+        return {
+            i: other
+            for i, other in self.results.items()
+            if i != result.instance and other.true_heading is None
+        }
 
     def evidence(self, result: CalibrationResult) -> Evidence:
         """Compare the heading by a result with all else that was recorded."""
@@ -90,7 +94,10 @@ def _weighed(
     """Claim no less than the rms error by all that the sources may show, and judge by that."""
     beyond_rad = math.hypot(found.beyond_rad(0), evidence.scatter_rad)
     sigma_deg = math.hypot(result.heading_sigma_deg, math.degrees(beyond_rad))
-    return result.widened(sigma_deg, "disagreement").within(limits, _contradiction(found, evidence))
+    why = _contradiction(found, evidence)
+    if why and result.true_heading is not None:
+        why += " Or the heading that was given is not the vehicle's."
+    return result.widened(sigma_deg, "disagreement").within(limits, why)
 
 
 def _contradiction(found: FaultIsolation, evidence: Evidence) -> str:
@@ -129,11 +136,13 @@ def _told(case: Case, result: CalibrationResult, found: FaultIsolation) -> Calib
         sigma = math.hypot(source.sigma_rad, mine.sigma_rad)
         contradicts = abs(difference) > BEYOND_CHANCE * sigma
         witnesses.append(Witness(source.name, math.degrees(difference), math.degrees(sigma), contradicts))
-    if witnesses:
-        return replace(result, evidence=tuple(witnesses), mounting=Mounting(seen=True))
+    result = replace(result, evidence=tuple(witnesses))
+    if witnesses and result.true_heading is None:
+        return replace(result, mounting=Mounting(seen=True))
+    motion = "by turning alone" if result.true_heading is None else "at one heading"
     setting = orientation_name(track.autopilot, track.parameters, result.instance)
     unseen = (
-        "Which way the compass is mounted cannot be seen by turning alone, and nothing else that was recorded"
+        f"Which way the compass is mounted cannot be seen {motion}, and nothing else that was recorded"
         f" tells it: taken {f'from {setting}' if setting else 'as recorded'}."
     )
     return replace(result, warnings=(*result.warnings, unseen))
@@ -159,6 +168,12 @@ def _right_already(result: CalibrationResult, track: Track) -> CalibrationResult
         if (roll or pitch) and result.heading_error is not None:
             sigma = max(sigma, result.heading_error.rms_rad(roll, pitch))
         if math.sqrt(float((change**2).mean())) > BEYOND_CHANCE * sigma:
+            return result
+    if result.true_heading is not None and result.heading_error is not None:
+        # One heading is known far better than the circle: there the values in force must be right, too.
+        circle = np.arange(72) * (2.0 * math.pi / 72)
+        sigma_rad = np.tile(result.heading_error.sigma_rad(circle), len(result.loads))
+        if (np.abs(result.change_rad()) > BEYOND_CHANCE * sigma_rad).any():
             return result
     return replace(result, already_right=True)
 

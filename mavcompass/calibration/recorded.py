@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from mavcompass.calibration.result import DEFAULT_LIMITS, Limits
+from mavcompass.calibration.result import DEFAULT_LIMITS, Limits, TrueHeading
 from mavcompass.calibration.rigid import DEFAULT_PRIOR, IronPrior
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
@@ -21,6 +21,7 @@ class Recorded:
         earth: the Earth's field there and then; None where it is unknown or not to be used.
         limits: what is accepted. prior: what is known of compasses in general.
         windows: still stretches (start, end) that were chosen; None where they are to be found.
+        true_heading: where the vehicle points there, if that is given.
     """
 
     track: Track
@@ -29,6 +30,7 @@ class Recorded:
     limits: Limits = DEFAULT_LIMITS
     prior: IronPrior = DEFAULT_PRIOR
     windows: Sequence[tuple[float, float]] | None = None
+    true_heading: TrueHeading | None = None
 
     @property
     def in_force(self) -> FieldCorrection:

@@ -46,6 +46,32 @@ class Position:
 
 
 @dataclass(frozen=True, slots=True)
+class TrueHeading:
+    """Hold where the vehicle points, from true north, as a person or a second antenna tells it, radians.
+
+    Attributes:
+        sigma_rad: by default that of half a metre of hull laid along a line to a centimetre by eye.
+        by: the name in the evidence of the source that tells it, which then is no witness; "" for a person.
+    """
+
+    heading_rad: float
+    sigma_rad: float = math.radians(1.0)
+    by: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return it as plain values."""
+        heading, sigma = math.degrees(self.heading_rad) % 360.0, math.degrees(self.sigma_rad)
+        return {"heading_deg": _number(heading), "sigma_deg": _number(sigma)}
+
+
+def true_heading(heading_rad: float | None, sigma_rad: float | None = None) -> TrueHeading | None:
+    """Put a heading together, with the usual sigma where none is told; None where there is no heading."""
+    if heading_rad is None:
+        return None
+    return TrueHeading(heading_rad) if sigma_rad is None else TrueHeading(heading_rad, sigma_rad)
+
+
+@dataclass(frozen=True, slots=True)
 class Witness:
     """Hold by how much another source's heading differs from a compass's: the constant part."""
 
@@ -106,6 +132,7 @@ class CalibrationResult:
         evidence: what else tells the heading, and how far that is from this one.
         mounting: what is known of it.
         already_right: True where the values in force are no worse beyond the new ones' sigma.
+        true_heading: that was given; at it every such calibration agrees, whatever is true.
         parameters: the autopilot's parameters that put the correction in force.
     """
 
@@ -133,6 +160,7 @@ class CalibrationResult:
     evidence: tuple[Witness, ...] = ()
     mounting: Mounting = field(default_factory=Mounting)
     already_right: bool = False
+    true_heading: TrueHeading | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -211,6 +239,7 @@ class CalibrationResult:
             "method": self.method,
             "accepted": self.accepted,
             "already_right": self.already_right,
+            **({} if self.true_heading is None else {"true_heading": self.true_heading.to_json()}),
             "reasons": list(self.reasons),
             "warnings": list(self.warnings),
             "raw_offset_mgauss": _numbers(self.raw_offset_mgauss),

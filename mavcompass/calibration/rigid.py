@@ -27,6 +27,7 @@ from mavcompass.calibration.model import (
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray
+from mavcompass.heading.compute import level_field
 
 # What is not known of how far the field lags behind the gyro.
 _LAG_SIGMA_S = 0.03
@@ -47,13 +48,14 @@ class IronPrior:
     """State what is known of a compass before the vehicle turns.
 
     Attributes:
-        gain_sigma: of each horizontal gain about 1.
+        gain_sigma: of each horizontal gain.
         vertical_gain_sigma: of the vertical gain about the mean of the horizontal ones.
         cross_sigma: of the cross terms, where there are any. own_cross_sigma: of a sensor's own without iron:
             axes are square, and set to the vehicle's, within a third of a degree.
         site_sigma_mgauss: what rocks, buildings and parked cars add to the world model, each component.
         motor_sigma_mgauss_per_a: of the field of the battery current, each axis.
         vertical_offset_sigma_mgauss: of the offset in force on Z, where there is no world model.
+        gains: what all these sigmas are about, as `model.gain_parameters` has them.
     """
 
     gain_sigma: float = 0.25
@@ -63,6 +65,7 @@ class IronPrior:
     site_sigma_mgauss: float = 5.0
     motor_sigma_mgauss_per_a: float = 0.5
     vertical_offset_sigma_mgauss: float = 100.0
+    gains: tuple[float, ...] = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
 
 
 DEFAULT_PRIOR = IronPrior()
@@ -95,11 +98,11 @@ class Readings:
     def field(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residuals (K, 3) and the derivative of the prediction by the state, (K, 3, P)."""
         k = len(self)
-        psi = x[HEADINGS:]
-        gain, h, z = gain_matrix(x[GAIN]), x[HORIZONTAL], x[VERTICAL]
+        psi, h = x[HEADINGS:], x[HORIZONTAL]
+        gain = gain_matrix(x[GAIN])
         mapping = self.mapping + x[LAG] * self.by_lag
         cos, sin = np.cos(psi), np.sin(psi)
-        level = np.stack([h * cos, -h * sin, np.full(k, z)], axis=1)
+        level = level_field(psi, h, x[VERTICAL])
         body = np.einsum("kij,kj->ki", mapping, level)
         load = self.load[:, np.newaxis]
         residual = self.mean_mgauss - (x[OFFSET] + body @ gain + load * x[MOTOR])
@@ -161,6 +164,7 @@ def prior_rows(
     vertical_mgauss: float,
     gyro_sigma: tuple[float, float],
     motor_sigma: float,
+    first_heading: tuple[float, float] | None = None,
 ) -> PriorRows:
     """Write the prior of so many readings as whitened rows.
 
@@ -169,13 +173,13 @@ def prior_rows(
         gyro_sigma: of its scale, and of its bias in rad/s.
         motor_sigma: of the motors' field per unit of load.
         in_force: gives Z's offset where no world model does.
+        first_heading: magnetic, of the first reading, and its sigma, where that is known.
     """
     scale_sigma, bias_sigma = (max(sigma, 1e-9) for sigma in gyro_sigma)
     # A number of the state, or several by their mean.
     held: list[tuple[int | list[int], float, float]] = [
-        (3, 1.0, prior.gain_sigma),
-        (4, 1.0, prior.gain_sigma),
-        *((i, 0.0, prior.cross_sigma) for i in (6, 7, 8)),
+        *((i, prior.gains[i - 3], prior.gain_sigma) for i in (3, 4)),
+        *((i, prior.gains[i - 3], prior.cross_sigma) for i in (6, 7, 8)),
         (GYRO_SCALE, 0.0, scale_sigma),
         (GYRO_BIAS, 0.0, bias_sigma),
         *((i, 0.0, motor_sigma) for i in range(MOTOR.start, MOTOR.stop)),
@@ -192,10 +196,13 @@ def prior_rows(
         held.append((VERTICAL, vertical_mgauss, max(0.5 * abs(vertical_mgauss), 50.0)))
         offset = -in_force.offsets_mgauss[2] if in_force is not None else 0.0
         held.append((2, offset, prior.vertical_offset_sigma_mgauss))
+    if first_heading is not None:
+        held.append((HEADINGS, *first_heading))
     rows, wanted = np.zeros((len(held) + 1, HEADINGS + readings)), np.zeros(len(held) + 1)
     for row, (place, value, sigma) in enumerate(held):
         rows[row, place], wanted[row] = 1.0 / np.size(place) / sigma, value / sigma
     rows[-1, 3:6] = np.array([-0.5, -0.5, 1.0]) / prior.vertical_gain_sigma
+    wanted[-1] = rows[-1, 3:6] @ prior.gains[:3]
     return PriorRows(rows, wanted, tuple(int(np.max(place)) for place, _, _ in held))
 
 
@@ -236,7 +243,7 @@ def settle(
                 break
             damping = max(10.0 * damping, _FIRST_DAMPING)
         x, damping = trial, max(0.1 * damping, _DAMPING)
-        gained = 1.0 - float(values @ values) / cost
+        gained = 1.0 - float(values @ values) / max(cost, 1e-30)
         if float(np.abs(step).max()) < _SETTLED_SIGMAS or gained < _SETTLED_SHARE:
             break
     return x
@@ -297,7 +304,7 @@ def _spike_and_slab(
     """Blend a Gaussian with itself under the narrow prior of `state[index]`; P(wide) and the blend."""
     narrow2 = 1.0 / (prior.own_cross_sigma**-2.0 - prior.cross_sigma**-2.0)
     block = covariance[np.ix_(index, index)] + narrow2 * np.eye(len(index))
-    value = state[index]
+    value = state[index] - np.asarray(prior.gains)[np.array(index) - 3]
     gain = covariance[:, index] @ np.linalg.inv(block)
     posterior = -0.5 * float(value @ np.linalg.solve(block, value)) - 0.5 * float(np.linalg.slogdet(block)[1])
     before = -0.5 * len(index) * math.log(prior.cross_sigma**2 + narrow2)

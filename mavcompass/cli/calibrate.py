@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import click
 
@@ -26,10 +26,22 @@ from mavcompass.cli.source import (
 from mavcompass.errors import UsageError
 from mavcompass.vehicle.transport import Recording, parse_address
 
+if TYPE_CHECKING:
+    from mavcompass.calibration.result import TrueHeading
+
 _HELP = {
     "What is calibrated": (
         "flight.tlog --compass 1,2 --method ellipsoid",
-        ("instances", "method", "max_error_deg", "orientation", "rewrite", "in_force_file"),
+        (
+            "instances",
+            "method",
+            "true_heading_deg",
+            "true_heading_sigma_deg",
+            "max_error_deg",
+            "orientation",
+            "rewrite",
+            "in_force_file",
+        ),
     ),
     "How it turns": (
         "sim:copter --motion hand --positions 6",
@@ -50,6 +62,21 @@ _HELP = {
 @click.command(cls=Grouped, groups=_HELP)
 @click.argument("source")
 @method_option
+@click.option(
+    "--true-heading",
+    "true_heading_deg",
+    type=Number(-360.0, 360.0),
+    metavar="DEG",
+    help="For one-point: where the vehicle points, from true north (a known line, a landmark's bearing, the"
+    " sun's azimuth); without it a second antenna's.",
+)
+@click.option(
+    "--true-heading-sigma",
+    "true_heading_sigma_deg",
+    type=Number(0.05, 45.0),
+    metavar="DEG",
+    help="How sure that is [default: 1, half a metre of hull laid along a line to a centimetre].",
+)
 @click.option(
     "--motion",
     type=click.Choice(("auto", "vehicle", "hand")),
@@ -134,6 +161,8 @@ _HELP = {
 def command(
     source: str,
     method: str,
+    true_heading_deg: float | None,
+    true_heading_sigma_deg: float | None,
     motion: str,
     turn_by: str,
     set_mode: bool,
@@ -167,6 +196,7 @@ def command(
     mavcompass calibrate sim:rover --yes
     mavcompass calibrate udpin:0.0.0.0:14550 --dry-run
     mavcompass calibrate flight.tlog --params-out compass.param
+    mavcompass calibrate sim:boat --method one-point --true-heading 0 --max-error-deg 6 --yes
     """
 
     address = parse_address(source)
@@ -180,7 +210,8 @@ def command(
     require_for(address, report=report_file)
     from mavcompass.cli.calibration.recording import Wanted
 
-    wanted = Wanted(source, method, instances, max_error_deg, params_out, report_file, output)
+    heading = _given(method, motion, true_heading_deg, true_heading_sigma_deg)
+    wanted = Wanted(source, method, instances, max_error_deg, params_out, report_file, output, heading)
     if isinstance(address, Recording):
         from mavcompass.cli.calibration.recording import solve_recording
 
@@ -198,6 +229,9 @@ def command(
     writing: Literal["ask", "yes", "never"] = "yes" if yes else "never" if dry_run else "ask"
     settings = CalibrateSettings(
         instances=instances,
+        method=wanted.method,
+        true_heading=heading,
+        max_heading_error_deg=max_error_deg,
         motion=motion,  # type: ignore[arg-type]
         turn_by=turn_by,  # type: ignore[arg-type]
         permissions=Permissions(set_mode, arm, takeoff_m or 0.0, land, exempt=writing),
@@ -217,3 +251,20 @@ def command(
 
             return calibrate_all(link, wanted, settings, speak)
         return calibrate_vehicle(link, wanted, settings, speak)
+
+
+def _given(
+    method: str, motion: str, heading_deg: float | None, sigma_deg: float | None
+) -> TrueHeading | None:
+    """Put the given heading together. Raises UsageError where these options contradict each other."""
+    if method != "one-point" and (heading_deg, sigma_deg) != (None, None):
+        raise UsageError("--true-heading is for --method one-point.", "Leave it away, or take that method.")
+    if heading_deg is None and sigma_deg is not None:
+        raise UsageError("--true-heading-sigma is of --true-heading.", "Give that, too.")
+    if method == "one-point" and motion != "auto":
+        raise UsageError("--method one-point leaves the vehicle where it stands.", "Leave --motion away.")
+    if heading_deg is None:
+        return None
+    from mavcompass.calibration.result import true_heading
+
+    return true_heading(math.radians(heading_deg), None if sigma_deg is None else math.radians(sigma_deg))

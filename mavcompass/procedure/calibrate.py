@@ -13,7 +13,7 @@ from typing import Literal
 
 from mavcompass import messages as mav
 from mavcompass.calibration.observation import around, dwell_between
-from mavcompass.calibration.result import CalibrationResult, summary
+from mavcompass.calibration.result import CalibrationResult, TrueHeading, summary
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkLost, PoorCalibration, Refused
 from mavcompass.procedure.autopilot_heading import OwnHeading
@@ -21,7 +21,7 @@ from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.desk import Desk
 from mavcompass.procedure.dialect import CutShort, Dialect, Overrides, SaveUndo, WriteOutcome
 from mavcompass.procedure.motion import Motion, Permissions, SafetyLimits, Wishes
-from mavcompass.procedure.positions import DwellSettings, HandMover, Mover, Window, prove, visit
+from mavcompass.procedure.positions import DwellSettings, Mover, Window, prove, visit
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.restart import restart
 from mavcompass.procedure.script import Ask, Context, Script, ask
@@ -52,9 +52,6 @@ _LOST_S = 2.5
 
 Writing = Literal["ask", "yes", "never"]
 
-# Solves and judges compasses of a Track from the still stretches that the procedure chose.
-Solve = Callable[[Track, tuple[int, ...], list[Window], EarthField | None], tuple[CalibrationResult, ...]]
-
 
 @dataclass(frozen=True, slots=True)
 class CalibrateSettings:
@@ -62,6 +59,9 @@ class CalibrateSettings:
 
     Attributes:
         instances: compasses to calibrate, from 1; empty means all that the vehicle has.
+        method: how the readings are solved, a name of `calibration.methods`; see `stands` for one-point.
+        true_heading: for one-point; None takes a second antenna's.
+        max_heading_error_deg: accept no larger predicted error.
         motion: who turns the vehicle; "auto" lets it turn itself where it is armed.
         turn_by: "auto" by targets; else by the pilot's own controls, in a mode in which they steer.
         permissions: what may be done to the vehicle so that it can turn itself.
@@ -78,6 +78,9 @@ class CalibrateSettings:
     """
 
     instances: tuple[int, ...] = (1,)
+    method: str = "four-positions"
+    true_heading: TrueHeading | None = None
+    max_heading_error_deg: float = 2.0
     motion: Motion = "auto"
     turn_by: TurnBy = "auto"
     permissions: Permissions = field(default_factory=Permissions)
@@ -94,6 +97,18 @@ class CalibrateSettings:
     rewrite: bool = False
     dwell: DwellSettings = field(default_factory=DwellSettings)
     limits: SafetyLimits = field(default_factory=SafetyLimits)
+
+    @property
+    def stands(self) -> bool:
+        """Tell whether the vehicle is left where it stands: nobody arms, moves or turns it."""
+        return self.method == "one-point"
+
+
+# Solves and judges compasses of a Track from the still stretches that the procedure chose, as was wanted.
+Solve = Callable[
+    [Track, tuple[int, ...], list[Window], EarthField | None, CalibrateSettings],
+    tuple[CalibrationResult, ...],
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,8 +197,9 @@ class _Calibration:
     def calibrate(self) -> Script[CalibrationReport]:
         """Visit the positions, solve, write, prove; give the vehicle back however it ends."""
         desk, settings, finished = self.desk, self.settings, False
+        motion: Motion = "none" if settings.stands else settings.motion
         mobility = desk.mobility(
-            Wishes(settings.motion, settings.turn_by, settings.permissions, settings.limits), self.overrides
+            Wishes(motion, settings.turn_by, settings.permissions, settings.limits), self.overrides
         )
         self.writer = writer = Writer(
             desk, self.overrides.save_undo, settings.writing == "ask", self.own.expect
@@ -248,7 +264,7 @@ class _Calibration:
         Solving takes a small computer seconds, in which nothing is sent: no vehicle may depend on that.
         """
         desk, settings = self.desk, self.settings
-        count, step_rad = settings.positions, settings.step_rad
+        count, step_rad = 1 if settings.stands else settings.positions, settings.step_rad
         windows = yield from visit(
             desk.context,
             desk.rest,
@@ -290,7 +306,7 @@ class _Calibration:
         track = desk.builder.build()
         world = earth_field_of(track, self.settings.year)
         heard = self.heard(track)
-        results = self.services.solve(track, heard, windows, world)
+        results = self.services.solve(track, heard, windows, world, self.settings)
         if self.settings.rewrite:
             results = tuple(replace(result, already_right=False) for result in results)
         return CalibrationReport(
@@ -324,7 +340,7 @@ class _Calibration:
 
     def wants_more(self, report: CalibrationReport, mover: Mover) -> bool:
         """Tell whether further positions are worth their time: a person is not asked for them."""
-        if isinstance(mover, HandMover) or len(report.windows) >= self.settings.most_positions:
+        if not mover.by_itself or len(report.windows) >= self.settings.most_positions:
             return False
         # One that is mounted turned is as sure as it will be once that is set right.
         as_mounted = (result.mounting.mended or result for result in report.results)
@@ -355,22 +371,25 @@ class _Calibration:
 
         A proof that is cut short, or not begun, is none: the old values are put back.
         """
-        context, last = self.desk.context, report.windows[-1]
+        context, settings, last = self.desk.context, self.settings, report.windows[-1]
         try:
             yield from self.own.written(outcome.values)
-            context.show("prove", "Turning once more to check the new values.")
-            enough = replace(self.settings.dwell, enough_deg=_PROOF_ENOUGH_DEG)
+            doing = "Measuring" if settings.stands else "Turning"
+            context.show("prove", f"{doing} once more to check the new values.")
+            enough = replace(settings.dwell, enough_deg=_PROOF_ENOUGH_DEG)
             turned_rad = self.desk.gyro.angle_rad - last.turned_rad
             for _ in range(_PROOF_TURNS):
-                angle_rad = self.settings.step_rad
-                if not isinstance(mover, HandMover):
+                angle_rad = settings.step_rad
+                if mover.by_itself:
                     # What the autopilot has turned by itself, its heading being right now, counts.
                     angle_rad = _PROOF_SHARE * angle_rad - turned_rad
                 yield from mover.next(context, angle_rad, 1)
                 window = yield from self.desk.dwell(mover, enough, self.sureness_deg)
                 yield from mover.release(context)
                 with_it = self.solve([*report.windows, window])
-                proof = prove(with_it.track, last, window, report.results, with_it.results)
+                proof = prove(
+                    with_it.track, last, window, report.results, with_it.results, not settings.stands
+                )
                 if proof.tells:
                     break
                 turned_rad = math.radians(proof.compasses[0].gyro_turned_deg)

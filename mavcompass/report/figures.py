@@ -22,6 +22,7 @@ _BUDGET_NAMES = {
     "step_angle": "turn angles",
     "tilt": "tilt",
     "accelerometer": "accelerometer",
+    "given_heading": "given heading",
     "world_model": "world model",
     "quantisation": "quantisation",
     "disturbance": "disturbance",

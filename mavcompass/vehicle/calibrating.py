@@ -8,7 +8,7 @@ from pathlib import Path
 from mavcompass.calibration import calibrate_compasses
 from mavcompass.calibration.result import CalibrationResult, Limits
 from mavcompass.earth_field import EarthField
-from mavcompass.procedure.calibrate import CalibrateSettings, Services, Solve, calibrate
+from mavcompass.procedure.calibrate import CalibrateSettings, Services, calibrate
 from mavcompass.procedure.positions import Window
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Ask, Machine, Show
@@ -24,8 +24,6 @@ def calibrate_on(
     link: Link,
     source: str,
     settings: CalibrateSettings,
-    method: str = "four-positions",
-    max_heading_error_deg: float = 2.0,
     *,
     on_show: Callable[[Show], None] | None = None,
     on_ask: Callable[[Ask], PollAnswer] | None = None,
@@ -37,41 +35,38 @@ def calibrate_on(
     `source` is the address as the person gave it: it goes into the undo record and its command.
     Raises what `procedure.calibrate.calibrate` and `driver.run` raise.
     """
-    machine = calibration_machine(source, settings, method, max_heading_error_deg, undo_directory)
+    machine = calibration_machine(source, settings, undo_directory)
     return run(machine, link, on_show=on_show, on_ask=on_ask, stop=stop)
 
 
 def calibration_machine(
-    source: str,
-    settings: CalibrateSettings,
-    method: str = "four-positions",
-    max_heading_error_deg: float = 2.0,
-    undo_directory: Path | None = None,
+    source: str, settings: CalibrateSettings, undo_directory: Path | None = None
 ) -> Machine[CalibrationReport]:
     """Build the machine, for those who drive it themselves."""
     services = Services(
         dialect_for=lambda autopilot: make_dialect(autopilot, source),
         save_undo=undo_saver(source, undo_directory),
-        solve=solver(method, max_heading_error_deg),
+        solve=solve,
         cut_short=cut_short(undo_directory),
     )
     return Machine(lambda context: calibrate(context, services, settings))
 
 
-def solver(method: str, max_heading_error_deg: float) -> Solve:
-    """Build the function that solves and judges compasses on the positions that a procedure visited."""
-
-    def solve(
-        track: Track, instances: tuple[int, ...], windows: list[Window], earth: EarthField | None
-    ) -> tuple[CalibrationResult, ...]:
-        found = calibrate_compasses(
-            track,
-            method,
-            instances,
-            earth=earth,
-            windows=[(window.start_s, window.end_s) for window in windows],
-            limits=Limits(heading_deg=max_heading_error_deg),
-        )
-        return tuple(found.values())
-
-    return solve
+def solve(
+    track: Track,
+    instances: tuple[int, ...],
+    windows: list[Window],
+    earth: EarthField | None,
+    settings: CalibrateSettings,
+) -> tuple[CalibrationResult, ...]:
+    """Solve and judge compasses on the positions that a procedure visited."""
+    found = calibrate_compasses(
+        track,
+        settings.method,
+        instances,
+        earth=earth,
+        windows=[(window.start_s, window.end_s) for window in windows],
+        limits=Limits(heading_deg=settings.max_heading_error_deg),
+        true_heading=settings.true_heading,
+    )
+    return tuple(found.values())

@@ -79,17 +79,15 @@ class Vehicle:
     def calibrate(
         self,
         settings: CalibrateSettings | None = None,
-        method: str = "four-positions",
-        max_heading_error_deg: float = 2.0,
         on_show: Callable[[Show], None] | None = None,
     ) -> CalibrationReport:
-        """Run the calibration; without settings compass 1, and nothing is written.
+        """Run the calibration; without settings compass 1 by four positions, and nothing is written.
 
         Raises what `procedure.calibrate.calibrate` raises.
         """
         chosen = CalibrateSettings(writing="never") if settings is None else settings
         chosen = replace(chosen, system=self.identity.system)
-        return calibrate_on(self.link, self._source, chosen, method, max_heading_error_deg, on_show=on_show)
+        return calibrate_on(self.link, self._source, chosen, on_show=on_show)
 
 
 def connect(source: str, system: int | None = None, timeout_s: float = 10.0) -> Vehicle:

@@ -25,7 +25,7 @@ def dwell(**changed: Any) -> SimpleNamespace:
 
 def data(turned_deg: tuple[float, ...] = (0.0, 90.0, 180.0, 270.0), **of_second: Any) -> Any:
     dwells = [dwell(**(of_second if k == 1 else {})) for k in range(len(turned_deg))]
-    return SimpleNamespace(dwells=tuple(dwells), turned_rad=np.radians(turned_deg))
+    return SimpleNamespace(dwells=tuple(dwells), turned_rad=np.radians(turned_deg), first_heading=None)
 
 
 def fit(gain: float = 1.0, horizontal: float = H, xz: float = 0.0, yz: float = 0.0, **changed: Any) -> Any:

@@ -18,9 +18,8 @@ def calibrate(recorded: Recorded) -> CalibrationResult:
 
 
 def calibrate_still(recorded: Recorded, motion: Motion | None) -> CalibrationResult:
-    """Calibrate, and claim no less than the heading scatter that is left in the motion.
+    """Calibrate by the positions, held against the motion between them.
 
-    Where the gyro did not follow the turns, that is the reason, and not what seems to follow from it.
     Raises PoorCalibration where the vehicle stood still at fewer than three positions.
     """
     result = calibrate_positions(
@@ -31,6 +30,14 @@ def calibrate_still(recorded: Recorded, motion: Motion | None) -> CalibrationRes
         recorded.limits,
         recorded.prior,
     )
+    return witnessed(result, motion)
+
+
+def witnessed(result: CalibrationResult, motion: Motion | None) -> CalibrationResult:
+    """Claim no less than the heading scatter that the correction leaves in the whole motion.
+
+    Where the gyro did not follow the turns, that is the reason, and not what seems to follow from it.
+    """
     if motion is None:
         return result
     if not result.accepted and (sparse := sparse_words(motion.sections)):

@@ -96,6 +96,7 @@ class FourPositionData:
         gyro_bias_sigma_radps: of the rate, common to all steps, in proportion to their duration.
         tilt_bias_sigma_rad: of roll and pitch, common to all dwells: the accelerometer's.
         source: the recording's name, for messages.
+        first_heading: the first dwell's magnetic heading and its sigma, radians, where it is given.
     """
 
     dwells: tuple[Dwell, ...]
@@ -104,6 +105,7 @@ class FourPositionData:
     gyro_bias_sigma_radps: float = 0.0
     tilt_bias_sigma_rad: float = 0.0
     source: str = ""
+    first_heading: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         """Raise ValueError where dwells and steps do not alternate."""

@@ -59,10 +59,11 @@ def find_dwells(
     track: Track,
     instance: int = 1,
     turn: TurnRecord | None = None,
+    cut: bool = True,
 ) -> list[Dwell]:
     """Find the still positions of a recording, in time order.
 
-    Where a recording turns all the way round without ever standing still, short positions are cut out
+    Where a recording turns all the way round without ever standing still, short positions are `cut` out
     of the turn, four to a turn, evenly by the gyro.
     Raises PoorCalibration where the recording has no gyro, KeyError for an unknown compass.
     """
@@ -80,9 +81,9 @@ def find_dwells(
 
     windows = standing(windows)
     middles = record.angle_at(np.array([0.5 * (a + b) for a, b in windows]))
-    if not windows or circle_covered_rad(middles) < math.radians(150.0):
-        cut = standing(_cut_from_turn(record, compass.time_s))
-        windows = cut if len(cut) >= 3 else windows
+    if cut and (not windows or circle_covered_rad(middles) < math.radians(150.0)):
+        parts = standing(_cut_from_turn(record, compass.time_s))
+        windows = parts if len(parts) >= 3 else windows
     windows = sorted(sorted(windows, key=lambda w: w[0] - w[1])[:_MOST_DWELLS])
     return [dwell_between(track, instance, start, end, record) for start, end in windows]
 

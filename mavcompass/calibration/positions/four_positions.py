@@ -49,6 +49,8 @@ WIDENED_BELOW = 0.01
 _SUSPECT = 0.05
 # As the report names them; what the prior holds of the state counts for one of them.
 _PARTS = ("noise", "step_angle", "tilt", ACCELEROMETER, "world_model", "quantisation", "disturbance", "prior")
+# A row beyond these is a heading that was given; nowhere else does it appear.
+GIVEN_HEADING = "given_heading"
 _SOURCE_OF = {
     **dict.fromkeys((GYRO_SCALE, GYRO_BIAS), "step_angle"),
     **dict.fromkeys((HORIZONTAL, VERTICAL), "world_model"),
@@ -188,7 +190,8 @@ def heading_budget(problem: PositionProblem, fit: PositionFit, blend: Blend) -> 
     rest = (gains[:, 3 * k :] ** 2).mean(axis=0)
     variance["step_angle"] = float(rest[: k - 1].sum())
     for place, share in zip(problem.rules.places, rest[k - 1 : -1], strict=True):
-        variance[_SOURCE_OF.get(place, "prior")] += float(share)
+        source = GIVEN_HEADING if place >= HEADINGS else _SOURCE_OF.get(place, "prior")
+        variance[source] = variance.get(source, 0.0) + float(share)
     variance["prior"] += float(rest[-1])
     # What the blends add (was a dwell disturbed? are there cross terms?) or save goes to the disturbance,
     # or lowers all alike.

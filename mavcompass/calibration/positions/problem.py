@@ -59,7 +59,7 @@ class PositionProblem:
     ) -> PositionProblem:
         """Prepare the fit: the start by linear least squares, the weights, the prior."""
         dwells = data.dwells
-        if len(dwells) < 3:
+        if data.first_heading is None and len(dwells) < 3:
             raise PoorCalibration(
                 f"Only {len(dwells)} still positions: offset and amplitude need at least three.",
                 "Turn the vehicle in four steps of about 90 degrees and stop after each.",
@@ -76,7 +76,11 @@ class PositionProblem:
             turned_rad=data.turned_rad,
             step_sigma_rad=np.array([max(s.sigma_rad, 1e-6) for s in data.steps]),
         )
-        start, mirrored = _start(mean, tilts, data.turned_rad, earth, in_force)
+        if data.first_heading is None or earth is None:
+            start, mirrored = _start(mean, tilts, data.turned_rad, earth, in_force)
+        else:
+            headings = data.first_heading[0] + data.turned_rad
+            start, mirrored = _start_at(headings, mean, tilts, earth, prior), False
         rules = prior_rows(
             len(dwells),
             prior,
@@ -85,6 +89,7 @@ class PositionProblem:
             float(start[VERTICAL]),
             (data.gyro_scale_sigma, data.gyro_bias_sigma_radps),
             prior.motor_sigma_mgauss_per_a,
+            data.first_heading,
         )
         noise = np.array([d.covariance_mgauss2 for d in dwells]) + _FLOOR_MGAUSS**2 * np.eye(3)
         quantisation = np.array([d.quantisation_mgauss2 for d in dwells])
@@ -132,6 +137,18 @@ class PositionProblem:
             parts={name: grown(part, part[best]) for name, part in self.parts.items()},
             leaning=grown(self.leaning, self.leaning[best]),
         )
+
+
+def _start_at(
+    headings: FloatArray, mean: FloatArray, tilts: FloatArray, earth: EarthField, prior: IronPrior
+) -> FloatArray:
+    """Take the gains for the prior's: at known headings the offset is what the field there leaves."""
+    state = np.zeros(HEADINGS + headings.size)
+    state[GAIN], state[HEADINGS:] = prior.gains, headings
+    state[HORIZONTAL], state[VERTICAL] = earth.horizontal_mgauss, earth.ned_mgauss[2]
+    body = np.einsum("kij,kj->ki", tilts, level_field(headings, state[HORIZONTAL], state[VERTICAL]))
+    state[OFFSET] = (mean - body @ gain_matrix(state[GAIN])).mean(axis=0)
+    return state
 
 
 def _start(

@@ -39,6 +39,7 @@ SOURCE_WORDS = {
     "quantisation": "the whole milligauss of the messages",
     "disturbance": "something magnetic that changed between the positions",
     "prior": "too few positions for all that is unknown (turn through four)",
+    "given_heading": "the heading that was given",
 }
 
 
@@ -109,7 +110,7 @@ def judge(
 def _found(data: FourPositionData, fit: FourPositionsResult, limits: Limits) -> Iterator[tuple[bool, str]]:
     """Yield what is to be said of a fit, and whether it is refused for it."""
     covered = circle_covered_rad(data.turned_rad)
-    if covered < math.radians(160.0):
+    if data.first_heading is None and covered < math.radians(160.0):
         words = (
             f"The vehicle turned too little: the positions cover only {covered * DEG_PER_RAD:.0f} degrees of "
             "the circle. Turn it in four steps of about 90 degrees."

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from mavcompass import api
 from mavcompass.calibration import Limits, calibrate_compasses
-from mavcompass.calibration.result import CalibrationResult, summary
+from mavcompass.calibration.result import CalibrationResult, TrueHeading, summary
 from mavcompass.cli.options import Output
 from mavcompass.cli.terminal.colour import styled
 from mavcompass.errors import BadRecording, PoorCalibration
@@ -35,6 +35,7 @@ class Wanted:
     params_out: Path | None
     report_file: Path | None
     output: Output
+    true_heading: TrueHeading | None = None
 
     def refused(
         self, error: PoorCalibration, instances: tuple[int, ...], track: Track | None = None
@@ -94,6 +95,7 @@ def solve_recording(wanted: Wanted, in_force_file: Path | None, orientation: boo
             chosen,
             limits=Limits(heading_deg=wanted.max_error_deg),
             turn=orientation,
+            true_heading=wanted.true_heading,
         )
     except PoorCalibration as error:
         wanted.output.write_json(wanted.refused(error, chosen, track))

@@ -55,8 +55,6 @@ def calibrate_one(
             link,
             source,
             settings,
-            wanted.method,
-            wanted.max_error_deg,
             on_show=show,
             on_ask=shown.ask,
             stop=stop,

@@ -44,6 +44,7 @@ class HandMover:
     slope_patience_s: float = 15.0
     patience_s: float = 180.0
     visited_rad: list[float] = field(default_factory=list)
+    by_itself: bool = False
     _said: str = ""
     _said_s: float = -math.inf
 

@@ -25,6 +25,7 @@ class VehicleMover:
 
     gyro: GyroAngle
     strategies: Sequence[TurnStrategy]
+    by_itself: bool = True
     _current: int = 0
     _used: bool = False
     _moving: bool = False

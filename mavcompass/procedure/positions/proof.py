@@ -13,6 +13,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from mavcompass.calibration.observation import assemble, dwell_between
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.frames import wrap_pi
@@ -35,6 +37,8 @@ class CompassProof:
         change_deg, change_allowed_deg: how much the heading changes, rms over the circle, where the
             solution takes the proof's position in, and how much it may.
         doubts: why the solution with that position would not be accepted.
+        apart_mgauss: how far the corrected field is from that before, where it only stood.
+        least_turn_rad: a smaller turn tells nothing; 0 where it only stood.
     """
 
     instance: int
@@ -44,6 +48,8 @@ class CompassProof:
     change_deg: float = 0.0
     change_allowed_deg: float = _LEAST_CHANGE_DEG
     doubts: tuple[str, ...] = ()
+    apart_mgauss: float = 0.0
+    least_turn_rad: float = _LEAST_TURN_RAD
 
     @property
     def difference_deg(self) -> float:
@@ -53,7 +59,7 @@ class CompassProof:
     @property
     def tells(self) -> bool:
         """Tell whether it ended far enough from where it began to show anything."""
-        return abs(float(wrap_pi(math.radians(self.gyro_turned_deg)))) >= _LEAST_TURN_RAD
+        return abs(float(wrap_pi(math.radians(self.gyro_turned_deg)))) >= self.least_turn_rad
 
     @property
     def passed(self) -> bool:
@@ -80,6 +86,8 @@ class Proof:
 
     def summary(self) -> str:
         """Return the sentence for the person."""
+        if not any(c.least_turn_rad for c in self.compasses):
+            return self._stood()
         turned = ", ".join(f"compass {c.instance} {c.field_turned_deg:.1f}" for c in self.compasses)
         gyro = ", ".join(dict.fromkeys(f"{c.gyro_turned_deg:.1f}" for c in self.compasses))
         parts = [f"{turned} deg; gyro {gyro} deg"]
@@ -95,6 +103,18 @@ class Proof:
         verdict = "Checked by a turn" if self.passed else "The turn does not confirm the new values"
         return f"{verdict}: {'; '.join(parts)}.{doubts}"
 
+    def _stood(self) -> str:
+        read = ", ".join(
+            f"compass {c.instance} {c.apart_mgauss:.1f} mG and {abs(c.difference_deg):.1f} deg"
+            for c in self.compasses
+        )
+        if not self.passed:
+            return f"The field does not read as the new values must make it: {read} off."
+        return (
+            f"Checked where it stands: the field reads as the new values must make it ({read} off). That"
+            " proves that they are in force, and no other heading: check those by a landmark, or by a turn."
+        )
+
 
 def prove(
     track: Track,
@@ -102,22 +122,28 @@ def prove(
     after: Window,
     results: Sequence[CalibrationResult],
     again: Sequence[CalibrationResult],
+    turned: bool = True,
 ) -> Proof:
     """Compare the turn between two dwells as the corrected field saw it with the gyro's.
 
     `after` lies behind the write: there the autopilot itself applies the new values. `again` are the
-    solutions that take `after` in as one more position.
+    solutions that take `after` in as one more position. Not `turned`, both are one position.
     """
     return Proof(
         tuple(
-            _prove_one(track, before, after, result, anew)
+            _prove_one(track, before, after, result, anew, turned)
             for result, anew in zip(results, again, strict=True)
         )
     )
 
 
 def _prove_one(
-    track: Track, before: Window, after: Window, result: CalibrationResult, again: CalibrationResult
+    track: Track,
+    before: Window,
+    after: Window,
+    result: CalibrationResult,
+    again: CalibrationResult,
+    turned: bool,
 ) -> CompassProof:
     dwells = [dwell_between(track, result.instance, w.start_s, w.end_s) for w in (before, after)]
     data = assemble(track, dwells, result.instance)
@@ -131,9 +157,9 @@ def _prove_one(
     # A tilt that is not known turns the field by the dip's tangent.
     dip = result.vertical_mgauss / max(result.horizontal_mgauss, 1.0)
     tilt_rad = dip * math.hypot(*(dwell.tilt_sigma_rad for dwell in dwells))
-    sigma_deg = math.hypot(
-        math.sqrt(2.0) * result.heading_sigma_deg, math.degrees(math.hypot(gyro_rad, tilt_rad)), 0.2
-    )
+    # What bends one heading bends the same again.
+    own_deg = math.sqrt(2.0) * result.heading_sigma_deg if turned else 0.0
+    sigma_deg = math.hypot(own_deg, math.degrees(math.hypot(gyro_rad, tilt_rad)), 0.2)
     change_rad = heading_change_rad(
         result.correction, again.correction, result.horizontal_mgauss, result.vertical_mgauss
     )
@@ -145,4 +171,8 @@ def _prove_one(
         change_deg=math.degrees(math.sqrt(float((change_rad**2).mean()))),
         change_allowed_deg=max(_LEAST_CHANGE_DEG, 3.0 * result.heading_sigma_deg),
         doubts=again.reasons,
+        apart_mgauss=float(
+            np.linalg.norm(np.diff([result.correction.apply(d.mean_mgauss) for d in dwells], axis=0))
+        ),
+        least_turn_rad=_LEAST_TURN_RAD if turned else 0.0,
     )

@@ -18,7 +18,7 @@ from mavcompass import messages as mav
 from mavcompass.calibration.observation import UNREST, StillnessDetector
 from mavcompass.errors import LinkLost
 from mavcompass.messages import telemetry
-from mavcompass.procedure.script import Context, Script, pause
+from mavcompass.procedure.script import Context, Script, nothing, pause
 from mavcompass.procedure.turning import GyroAngle
 
 _HOLD_EVERY_S = 0.5
@@ -154,6 +154,11 @@ class Rest:
 class Mover(Protocol):
     """Bring the vehicle to its next position."""
 
+    @property
+    def by_itself(self) -> bool:
+        """Tell whether the vehicle turns itself, as far and as often as it is asked."""
+        ...
+
     def next(self, context: Context, angle_rad: float, remaining: int) -> Script[None]:
         """Turn by about `angle_rad`; the gyro's angle tells what came of it."""
         ...
@@ -177,6 +182,34 @@ class Mover(Protocol):
     def release(self, context: Context) -> Script[None]:
         """Give the vehicle back as it was taken."""
         ...
+
+
+class Standing:
+    """Leave the vehicle where it stands."""
+
+    by_itself = False
+
+    def next(self, context: Context, angle_rad: float, remaining: int) -> Script[None]:
+        """Stay."""
+        return nothing(None)
+
+    def settle(self, context: Context, rest: Rest, settings: DwellSettings) -> Script[bool]:
+        """Wait for rest; see `wait_still`."""
+        return (yield from wait_still(context, rest, self, settings))
+
+    def hold(self, context: Context, left_s: float) -> None:
+        """Do nothing: it stands by itself, as it does for all below."""
+
+    def accept(self, context: Context, turned_rad: float) -> bool:
+        """Take it."""
+        return True
+
+    def halt(self, context: Context) -> None:
+        """Do nothing."""
+
+    def release(self, context: Context) -> Script[None]:
+        """Do nothing."""
+        return nothing(None)
 
 
 def wait_still(context: Context, rest: Rest, mover: Mover, settings: DwellSettings) -> Script[bool]:

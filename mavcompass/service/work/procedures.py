@@ -28,8 +28,6 @@ from mavcompass.service.work.worker import solve as solve_there
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.parameters.undo import cut_short, read_kept, undo_saver
 
-MAX_HEADING_ERROR_DEG = 2.0
-
 
 @dataclass(frozen=True, slots=True)
 class Acquaintance:
@@ -65,11 +63,9 @@ def calibration(
     worker.start()
 
     def solve(
-        track: Any, instances: tuple[int, ...], windows: list[Any], earth: Any
+        track: Any, instances: tuple[int, ...], windows: list[Any], earth: Any, settings: CalibrateSettings
     ) -> tuple[CalibrationResult, ...]:
-        task.results = worker.call(
-            solve_there, track, instances, windows, earth, request.method, MAX_HEADING_ERROR_DEG
-        )
+        task.results = worker.call(solve_there, track, instances, windows, earth, settings)
         return task.results
 
     services = Services(
@@ -80,6 +76,9 @@ def calibration(
     )
     settings = CalibrateSettings(
         instances=request.compasses,
+        method=request.method,
+        true_heading=request.true_heading,
+        max_heading_error_deg=request.max_error_deg,
         motion=request.motion,
         permissions=Permissions(
             request.set_mode, request.arm, request.takeoff_m or 0.0, request.land, exempt=request.writing

@@ -11,6 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from msgspec import Meta
 
 from mavcompass.calibration.methods import method_names
+from mavcompass.calibration.result import TrueHeading
 from mavcompass.errors import MavCompassError, Refused
 from mavcompass.heading.live import Heading
 from mavcompass.procedure.script import Ask, Show
@@ -62,6 +63,12 @@ class CalibrationRequest:
         ),
         checked(_unknown_method),
     ] = "four-positions"
+    true_heading_deg: Annotated[
+        Annotated[float, Meta(ge=-360.0, le=360.0)] | None,
+        Meta(description="For one-point: where it points, from true north; else a second antenna's."),
+    ] = None
+    true_heading_sigma_deg: Annotated[float, Meta(ge=0.05, le=45.0)] = 1.0
+    max_error_deg: Annotated[float, Meta(ge=0.1, le=45.0)] = 2.0
     positions: Annotated[int, Meta(ge=3, le=24)] = 4
     dwell_s: Annotated[float, Meta(ge=0.5, le=60.0)] = 2.0
     orientation: Annotated[
@@ -86,6 +93,13 @@ class CalibrationRequest:
     land: Annotated[bool, Meta(description="Allow landing a copter that flies.")] = False
 
     kind: ClassVar[Kind] = "calibration"
+
+    @property
+    def true_heading(self) -> TrueHeading | None:
+        """Return the heading that was given, if one was."""
+        if self.true_heading_deg is None:
+            return None
+        return TrueHeading(math.radians(self.true_heading_deg), math.radians(self.true_heading_sigma_deg))
 
 
 @dataclass(frozen=True, slots=True)

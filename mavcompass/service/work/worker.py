@@ -73,13 +73,12 @@ def solve(
     instances: tuple[int, ...],
     windows: list[Any],
     earth: Any,
-    method: str,
-    max_heading_error_deg: float,
+    settings: Any,
 ) -> Any:
-    """Solve and judge compasses; see `vehicle.calibrating.solver`."""
-    from mavcompass.vehicle.calibrating import solver
+    """Solve and judge compasses; see `vehicle.calibrating.solve`."""
+    from mavcompass.vehicle.calibrating import solve
 
-    return solver(method, max_heading_error_deg)(track, instances, windows, earth)
+    return solve(track, instances, windows, earth, settings)
 
 
 def learn(pieces: list[Any], instances: tuple[int, ...], earth: Any, limit_deg: float) -> dict[int, Any]:
