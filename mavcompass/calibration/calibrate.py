@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from mavcompass.calibration.judge import Case, judge
 from mavcompass.calibration.methods import find_method
 from mavcompass.calibration.methods.running import Learnt, learn
 from mavcompass.calibration.recorded import Recorded
-from mavcompass.calibration.result import DEFAULT_LIMITS, CalibrationResult, Limits, TrueHeading
+from mavcompass.calibration.result import DEFAULT_LIMITS, CalibrationResult, Limits, OwnFinding, TrueHeading
 from mavcompass.compass_parameters import values
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import BadRecording, MavCompassError, PoorCalibration
@@ -26,6 +27,7 @@ _DEAD_SWING_MGAUSS = 3.0
 _TURNED_RAD = math.radians(45.0)
 # Tried where another method refused.
 _OTHERS = ("four-positions", "world-field", "ellipsoid")
+NOTHING_FOUND: Mapping[int, OwnFinding] = MappingProxyType({})
 
 
 @single_thread()
@@ -73,6 +75,7 @@ def calibrate_compasses(
     windows: Sequence[tuple[float, float]] | None = None,
     turn: bool = False,
     true_heading: TrueHeading | None = None,
+    found: Mapping[int, OwnFinding] = NOTHING_FOUND,
 ) -> dict[int, CalibrationResult]:
     """Calibrate compasses of one recording (None: all), each judged by all that was recorded beside it.
 
@@ -87,6 +90,7 @@ def calibrate_compasses(
         turn: True takes a compass that is mounted turned as it is mounted: its result then sets the
             orientation, too.
         true_heading: for one-point; None takes a second antenna's.
+        found: for autopilot; what its own calibration found, by compass.
 
     One without a solution is refused with its reason. Raises what `calibrate_track` raises, PoorCalibration
     only where no compass that is asked for has a solution.
@@ -96,7 +100,8 @@ def calibrate_compasses(
     world = (earth or earth_field_of(track)) if use_world_model else None
 
     def solved(of: Track, instance: int) -> CalibrationResult:
-        return solve(Recorded(of, instance, world, limits, windows=windows, true_heading=true_heading))
+        given = Recorded(of, instance, world, limits, windows=windows, true_heading=true_heading)
+        return solve(replace(given, found=found.get(instance)))
 
     results: dict[int, CalibrationResult] = {}
     refusals: dict[int, PoorCalibration] = {}
@@ -118,14 +123,14 @@ def calibrate_compasses(
         if i in refusals:
             judged[i] = _refused(track, method, i, refusals[i])
             continue
-        found = judge(case, results[i])
-        if turn and found.mounting.mended is not None:
-            judged[i] = found.mounting.mended
+        result = judge(case, results[i])
+        if turn and result.mounting.mended is not None:
+            judged[i] = result.mounting.mended
             continue
-        if not found.accepted and windows is None and method != "auto":
+        if not result.accepted and windows is None and method != "auto":
             recorded = Recorded(track, i, world, limits)
-            found = replace(found, warnings=(*found.warnings, *_would_do(recorded, found.method)))
-        judged[i] = with_parameters(found, track)
+            result = replace(result, warnings=(*result.warnings, *_would_do(recorded, result.method)))
+        judged[i] = with_parameters(result, track)
     return judged
 
 

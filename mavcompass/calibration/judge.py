@@ -136,7 +136,7 @@ def _told(case: Case, result: CalibrationResult, found: FaultIsolation) -> Calib
         sigma = math.hypot(source.sigma_rad, mine.sigma_rad)
         contradicts = abs(difference) > BEYOND_CHANCE * sigma
         witnesses.append(Witness(source.name, math.degrees(difference), math.degrees(sigma), contradicts))
-    result = replace(result, evidence=tuple(witnesses))
+    result = replace(result, evidence=(*result.evidence, *witnesses))
     if witnesses and result.true_heading is None:
         return replace(result, mounting=Mounting(seen=True))
     motion = "by turning alone" if result.true_heading is None else "at one heading"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from mavcompass.calibration.result import DEFAULT_LIMITS, Limits, TrueHeading
+from mavcompass.calibration.result import DEFAULT_LIMITS, Limits, OwnFinding, TrueHeading
 from mavcompass.calibration.rigid import DEFAULT_PRIOR, IronPrior
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
@@ -22,6 +22,7 @@ class Recorded:
         limits: what is accepted. prior: what is known of compasses in general.
         windows: still stretches (start, end) that were chosen; None where they are to be found.
         true_heading: where the vehicle points there, if that is given.
+        found: by the autopilot's own calibration of these readings, if there was one.
     """
 
     track: Track
@@ -31,6 +32,7 @@ class Recorded:
     prior: IronPrior = DEFAULT_PRIOR
     windows: Sequence[tuple[float, float]] | None = None
     true_heading: TrueHeading | None = None
+    found: OwnFinding | None = None
 
     @property
     def in_force(self) -> FieldCorrection:

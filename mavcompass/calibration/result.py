@@ -64,6 +64,14 @@ class TrueHeading:
         return {"heading_deg": _number(heading), "sigma_deg": _number(sigma)}
 
 
+@dataclass(frozen=True, slots=True)
+class OwnFinding:
+    """Hold what an autopilot's own calibration found of a compass: a correction, or why there is none."""
+
+    correction: FieldCorrection | None = None
+    why_not: str = ""
+
+
 def true_heading(heading_rad: float | None, sigma_rad: float | None = None) -> TrueHeading | None:
     """Put a heading together, with the usual sigma where none is told; None where there is no heading."""
     if heading_rad is None:

@@ -196,7 +196,7 @@ def command(
     mavcompass calibrate sim:rover --yes
     mavcompass calibrate udpin:0.0.0.0:14550 --dry-run
     mavcompass calibrate flight.tlog --params-out compass.param
-    mavcompass calibrate sim:boat --method one-point --true-heading 0 --max-error-deg 6 --yes
+    mavcompass calibrate sim:rover --method autopilot --dry-run
     """
 
     address = parse_address(source)
@@ -245,7 +245,8 @@ def command(
         rewrite=rewrite,
         dwell=DwellSettings() if dwell_s is None else DwellSettings(dwell_s=dwell_s, shortest_s=dwell_s),
     )
-    with open_source(address, effects, turn_by != "auto", by_hand=motion == "hand") as link:
+    by_hand = motion == "hand" or method == "autopilot"
+    with open_source(address, effects, turn_by != "auto", by_hand) as link:
         if system == "all":
             from mavcompass.cli.calibration.vehicle import calibrate_all
 
@@ -263,6 +264,8 @@ def _given(
         raise UsageError("--true-heading-sigma is of --true-heading.", "Give that, too.")
     if method == "one-point" and motion != "auto":
         raise UsageError("--method one-point leaves the vehicle where it stands.", "Leave --motion away.")
+    if method == "autopilot" and motion == "vehicle":
+        raise UsageError("--method autopilot wants a person who turns the vehicle.", "Leave --motion away.")
     if heading_deg is None:
         return None
     from mavcompass.calibration.result import true_heading

@@ -91,7 +91,8 @@ method_option = click.option(
     type=click.Choice(method_names()),
     default="auto",
     show_default=True,
-    help="How the readings are solved (auto: four positions; in a recording without them, its motion).",
+    help="How the readings are solved (auto: four positions; in a recording without them, its motion;"
+    " autopilot: its own calibration, judged; one-point: offsets by --true-heading).",
 )
 max_error_option = click.option(
     "--max-error-deg",

@@ -42,3 +42,13 @@ def bits_of_single(value: float) -> int:
     (wide,) = struct.unpack("<Q", struct.pack("<d", value))
     payload = wide >> _PAYLOAD_SHIFT & _SINGLE_PAYLOAD
     return wide >> _SIGN_SHIFT & _SINGLE_SIGN | _SINGLE_EXPONENT | payload
+
+
+def whole_of_single(value: float) -> int:
+    """Return the signed whole number whose four bytes are those of a float's 32-bit form.
+
+    >>> whole_of_single(single_from_bits(0xFFFFFFFF))
+    -1
+    """
+    bits = bits_of_single(value)
+    return bits - (1 << 32) if bits >> 31 else bits

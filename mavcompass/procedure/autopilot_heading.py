@@ -204,6 +204,11 @@ class OwnHeading:
                 "heading", f"{trouble.what} What was written stays; its heading is not waited for."
             )
 
+    def look(self) -> Script[None]:
+        """Measure the error as it is now, once."""
+        yield from pause(self._context, self._sample_s + _LAG_S)
+        self._look()
+
     def restarted(self) -> None:
         """Begin anew after a restart of the autopilot."""
         self.by, self._latest_deg = ["a restart"], math.nan

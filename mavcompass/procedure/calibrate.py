@@ -7,13 +7,13 @@ neither sleeps nor reads a clock nor touches a socket or a file.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from mavcompass import messages as mav
 from mavcompass.calibration.observation import around, dwell_between
-from mavcompass.calibration.result import CalibrationResult, TrueHeading, summary
+from mavcompass.calibration.result import CalibrationResult, OwnFinding, TrueHeading, summary
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkLost, PoorCalibration, Refused
 from mavcompass.procedure.autopilot_heading import OwnHeading
@@ -45,6 +45,7 @@ _PROOF_TURNS = 3
 _UNPROVEN = "Not proven by a turn: restart the autopilot, then see with the check that all is right."
 # The Earth's horizontal and vertical field in temperate latitudes, where the place is not known.
 _TYPICAL_MGAUSS = (220.0, 430.0)
+_RESTART = "Once its own calibration has begun the autopilot arms only after a restart (--reboot)."
 # A compass that is only a witness is averaged over the same stretches.
 _WITNESS_HZ = 10.0
 # Silent for so long after a stop, the vehicle was not stopped but lost.
@@ -59,7 +60,7 @@ class CalibrateSettings:
 
     Attributes:
         instances: compasses to calibrate, from 1; empty means all that the vehicle has.
-        method: how the readings are solved, a name of `calibration.methods`; see `stands` for one-point.
+        method: how the readings are solved, a name of `calibration.methods`.
         true_heading: for one-point; None takes a second antenna's.
         max_heading_error_deg: accept no larger predicted error.
         motion: who turns the vehicle; "auto" lets it turn itself where it is armed.
@@ -103,10 +104,17 @@ class CalibrateSettings:
         """Tell whether the vehicle is left where it stands: nobody arms, moves or turns it."""
         return self.method == "one-point"
 
+    @property
+    def by_autopilot(self) -> bool:
+        """Tell whether the autopilot's own calibration is run, and judged, while a person turns it."""
+        return self.method == "autopilot"
 
+
+# What an autopilot's own calibration found, by compass.
+Found = Mapping[int, OwnFinding]
 # Solves and judges compasses of a Track from the still stretches that the procedure chose, as was wanted.
 Solve = Callable[
-    [Track, tuple[int, ...], list[Window], EarthField | None, CalibrateSettings],
+    [Track, tuple[int, ...], list[Window], EarthField | None, CalibrateSettings, Found],
     tuple[CalibrationResult, ...],
 ]
 
@@ -153,6 +161,8 @@ class _Calibration:
     overrides: Overrides
     own: OwnHeading
     writer: Writer | None = None
+    found: Found = field(default_factory=dict)
+    restart: bool = False
 
     @property
     def rate_dps(self) -> float:
@@ -174,6 +184,8 @@ class _Calibration:
             yield turning if self.rate_dps > _TURNING_DPS else f"It no longer turns; it is {armed}."
         if self.writer is None or not self.writer.began:
             yield "Nothing written."
+            if self.restart:
+                yield _RESTART
         elif self.writer.taken_back:
             yield "The old values are back on the vehicle."
 
@@ -183,21 +195,25 @@ class _Calibration:
         self.desk.rest.compasses = self.instances
         try:
             if self.settings.writing != "never":
-                yield from self.overrides.put_back_left(context, self.services.cut_short)
+                self.desk.now_in_force(
+                    (yield from self.overrides.put_back_left(context, self.services.cut_short))
+                )
             yield from rates.ask(context, self.wanted_rates())
             report = yield from self.calibrate()
             if report.written:
                 report = yield from self.steer_by_it(report, rates)
             elif report.accepted and not report.to_write:
                 report = replace(report, heading=replace(self.own.outcome(), written=False))
-            return report
+            return report.noting(_RESTART) if self.restart else report
         finally:
             yield from _whatever_comes(lambda _: rates.restore(context))
 
     def calibrate(self) -> Script[CalibrationReport]:
         """Visit the positions, solve, write, prove; give the vehicle back however it ends."""
         desk, settings, finished = self.desk, self.settings, False
-        motion: Motion = "none" if settings.stands else settings.motion
+        motion: Motion = settings.motion
+        if settings.stands or settings.by_autopilot:
+            motion = "none" if settings.stands else "hand"
         mobility = desk.mobility(
             Wishes(motion, settings.turn_by, settings.permissions, settings.limits), self.overrides
         )
@@ -206,6 +222,8 @@ class _Calibration:
         )
         try:
             mover = yield from mobility.take_charge(desk.context, desk.parameters)
+            if settings.by_autopilot:
+                yield from self.by_itself()
             report = self.solve((yield from self.visit(mover)))
             while self.wants_more(report, mover):
                 report = self.solve((yield from self.visit(mover, report.windows)))
@@ -230,6 +248,19 @@ class _Calibration:
                 why = "What was set for the calibration alone is put back."
                 yield from _whatever_comes(lambda _: self.overrides.release(desk.context, why))
 
+    def by_itself(self) -> Script[None]:
+        """Have the autopilot calibrate by its own method; what it has stored by itself is put back."""
+        desk = self.desk
+        names = desk.dialect.changed_by_own(desk.parameters)
+        yield from self.overrides.keep(desk.context, names)
+        self.restart = desk.dialect.restart_wanted_by_own
+        self.found = yield from desk.dialect.calibrate_itself(desk.context, desk.parameters, self.instances)
+        yield from self.overrides.release(desk.context, "What it stored is judged first.")
+        why = [finding.why_not for finding in self.found.values() if finding.why_not]
+        if len(why) == len(self.found):
+            raise PoorCalibration(why[0], _RESTART if self.restart else "")
+        desk.context.show("turn", "Its own calibration has ended.")
+
     def wanted_rates(self) -> dict[type[mav.Message], float]:
         """List the messages to ask for: fast ones for the calibration, slow ones for safety."""
         identity, rate_hz = self.desk.identity, self.settings.rate_hz
@@ -246,6 +277,8 @@ class _Calibration:
         wanted |= dict.fromkeys((mav.GlobalPositionInt, mav.RcChannels, mav.SysStatus, mav.Heartbeat), 4.0)
         # A second antenna tells a witness's heading.
         wanted |= dict.fromkeys((mav.EkfStatusReport, mav.SystemTime, mav.GpsRawInt), 2.0)
+        if self.settings.by_autopilot:
+            wanted |= dict.fromkeys((mav.MagCalProgress, mav.MagCalReport), 4.0)
         if identity.kind == "copter":
             # What hovers sways and shakes: its tilt is told by the receiver's velocity and by as many
             # readings as there are, see `attitude.level`.
@@ -264,7 +297,8 @@ class _Calibration:
         Solving takes a small computer seconds, in which nothing is sent: no vehicle may depend on that.
         """
         desk, settings = self.desk, self.settings
-        count, step_rad = 1 if settings.stands else settings.positions, settings.step_rad
+        alone = settings.stands or settings.by_autopilot
+        count, step_rad = 1 if alone else settings.positions, settings.step_rad
         windows = yield from visit(
             desk.context,
             desk.rest,
@@ -306,7 +340,7 @@ class _Calibration:
         track = desk.builder.build()
         world = earth_field_of(track, self.settings.year)
         heard = self.heard(track)
-        results = self.services.solve(track, heard, windows, world, self.settings)
+        results = self.services.solve(track, heard, windows, world, self.settings, self.found)
         if self.settings.rewrite:
             results = tuple(replace(result, already_right=False) for result in results)
         return CalibrationReport(
@@ -354,11 +388,15 @@ class _Calibration:
         """Wait until the autopilot steers by the new heading, and say how far off it is."""
         own, outcome = self.own, report.outcome
         assert outcome is not None
-        yield from own.settle()
-        if self.settings.reboot and (own.outcome().is_off or report.takes_effect_later):
+        if self.restart:  # what the hands did to its estimator ends with that only
+            yield from own.look()
+        else:
+            yield from own.settle()
+        if self.settings.reboot and (own.outcome().is_off or report.takes_effect_later or self.restart):
             try:
                 yield from restart(self.desk, rates, self.wanted_rates(), outcome)
                 own.restarted()
+                self.restart = False
                 yield from own.settle()
             except (Refused, LinkLost) as trouble:
                 report = report.noting(str(trouble))
@@ -387,9 +425,9 @@ class _Calibration:
                 window = yield from self.desk.dwell(mover, enough, self.sureness_deg)
                 yield from mover.release(context)
                 with_it = self.solve([*report.windows, window])
-                proof = prove(
-                    with_it.track, last, window, report.results, with_it.results, not settings.stands
-                )
+                # What the autopilot found does not depend on a further position.
+                again = report.results if settings.by_autopilot else with_it.results
+                proof = prove(with_it.track, last, window, report.results, again, not settings.stands)
                 if proof.tells:
                     break
                 turned_rad = math.radians(proof.compasses[0].gyro_turned_deg)

@@ -27,6 +27,8 @@ MESSAGE_IDS: dict[type[mav.Message], int] = {
     mav.ScaledImu2: 116,
     mav.ScaledImu3: 129,
     mav.Simstate: 164,
+    mav.MagCalProgress: 191,
+    mav.MagCalReport: 192,
     mav.EkfStatusReport: 193,
     mav.EstimatorStatus: 230,
     mav.ExtendedSysState: 245,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from mavcompass import messages as mav
@@ -72,6 +72,13 @@ class Desk:
         )
         context.listeners += [builder.add, desk.gyro.hear, desk.rest.hear]
         return desk
+
+    def now_in_force(self, values: Mapping[str, float]) -> None:
+        """Take note of parameters that were written since the desk was opened."""
+        if values:
+            self.parameters |= values
+            self.builder.parameters.update(self.parameters)
+            describe_compasses(self.builder, self.dialect, self.parameters)
 
     @property
     def instances(self) -> tuple[int, ...]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Protocol
 
+from mavcompass.calibration.result import OwnFinding
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.frames import FloatArray
 from mavcompass.messages import telemetry
@@ -171,6 +172,25 @@ class Dialect(Protocol):
         """
         ...
 
+    @property
+    def restart_wanted_by_own(self) -> bool:
+        """Tell whether, once its own calibration has begun, it arms only after a restart."""
+        ...
+
+    def changed_by_own(self, parameters: Mapping[str, float]) -> tuple[str, ...]:
+        """List the parameters, of these, that its own calibration may change by itself."""
+        ...
+
+    def calibrate_itself(
+        self, context: Context, parameters: Mapping[str, float], instances: tuple[int, ...]
+    ) -> Script[Mapping[int, OwnFinding]]:
+        """Have the autopilot calibrate compasses by its own method while a person turns the vehicle.
+
+        However it ends, nothing of it runs on. Raises Refused where it does not begin, PoorCalibration where
+        the vehicle is not turned, LinkLost where it falls silent.
+        """
+        ...
+
 
 @dataclass(slots=True)
 class Overrides:
@@ -204,8 +224,22 @@ class Overrides:
             self._held.append((plan, outcome))
         return True
 
-    def put_back_left(self, context: Context, cut_short: CutShort) -> Script[None]:
-        """Put back what earlier runs have left, which were killed. Raises what a transaction raises."""
+    def keep(self, context: Context, names: Sequence[str]) -> Script[None]:
+        """Record parameters that the autopilot itself is going to change, for `release` to put back.
+
+        Raises what a transaction raises.
+        """
+        values = yield from self.dialect.read_parameters(context, names)
+        plan = ParameterPlan(tuple(Change(n, v, v) for n, v in values.items()), for_now=True)
+        if values:
+            self._held.append((plan, (yield from self.dialect.write(context, plan, self.save_undo))))
+
+    def put_back_left(self, context: Context, cut_short: CutShort) -> Script[dict[str, float]]:
+        """Put back what earlier runs have left, which were killed, and return it.
+
+        Raises what a transaction raises.
+        """
+        back: dict[str, float] = {}
         vehicle = yield from self.dialect.claim(context, {})
         for before, record, done in cut_short(vehicle):
             now = yield from self.dialect.read_parameters(context, tuple(before))
@@ -213,7 +247,9 @@ class Overrides:
             if changes:
                 context.show("undo", f"An earlier run was cut short: {changes[0].name} is put back.")
                 yield from self.dialect.write(context, ParameterPlan(changes), lambda *_, at=record: at)
+            back |= before
             done()
+        return back
 
     def release(self, context: Context, why: str) -> Script[None]:
         """Put back all that is held, the last first. Raises WriteFailed where that fails."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from mavcompass.calibration import calibrate_compasses
 from mavcompass.calibration.result import CalibrationResult, Limits
 from mavcompass.earth_field import EarthField
-from mavcompass.procedure.calibrate import CalibrateSettings, Services, calibrate
+from mavcompass.procedure.calibrate import CalibrateSettings, Found, Services, calibrate
 from mavcompass.procedure.positions import Window
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Ask, Machine, Show
@@ -58,15 +58,17 @@ def solve(
     windows: list[Window],
     earth: EarthField | None,
     settings: CalibrateSettings,
+    found: Found,
 ) -> tuple[CalibrationResult, ...]:
     """Solve and judge compasses on the positions that a procedure visited."""
-    found = calibrate_compasses(
+    results = calibrate_compasses(
         track,
         settings.method,
         instances,
         earth=earth,
-        windows=[(window.start_s, window.end_s) for window in windows],
+        windows=None if settings.by_autopilot else [(window.start_s, window.end_s) for window in windows],
         limits=Limits(heading_deg=settings.max_heading_error_deg),
         true_heading=settings.true_heading,
+        found=found,
     )
-    return tuple(found.values())
+    return tuple(results.values())

@@ -79,14 +79,20 @@ class Vehicle:
     def calibrate(
         self,
         settings: CalibrateSettings | None = None,
+        method: str | None = None,
+        max_heading_error_deg: float | None = None,
         on_show: Callable[[Show], None] | None = None,
     ) -> CalibrationReport:
-        """Run the calibration; without settings compass 1 by four positions, and nothing is written.
+        """Run the calibration; without settings compass 1, and nothing is written.
+
+        A method, and what is accepted at most, may be named here instead of in the settings.
 
         Raises what `procedure.calibrate.calibrate` raises.
         """
         chosen = CalibrateSettings(writing="never") if settings is None else settings
-        chosen = replace(chosen, system=self.identity.system)
+        limit = chosen.max_heading_error_deg if max_heading_error_deg is None else max_heading_error_deg
+        method = method or chosen.method
+        chosen = replace(chosen, system=self.identity.system, method=method, max_heading_error_deg=limit)
         return calibrate_on(self.link, self._source, chosen, on_show=on_show)
 
 

@@ -3,7 +3,7 @@
 One reading at a known heading is one more row of the rigid compass's problem: the field that the world's
 magnetic model, the level and the heading give is what the gains make of it plus the offset,
 
-    b = r - T A F(psi),   psi = true heading - declination                                       (O1)
+    b = r - T A F(psi),   psi = true heading - declination                                       (P1)
 
 with the terms of (M1). Only b shows. T stays what a calibration in force says, or one; what is not known of
 it bends the heading everywhere but here, and that is what the result's sigma says.

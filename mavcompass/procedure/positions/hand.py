@@ -95,7 +95,7 @@ class HandMover:
             if level:
                 self._prompt(context, f"Hold still {settings.dwell_s:.0f} s.")
             else:
-                self._prompt(context, f"Tilted by {math.degrees(tilt_rad):.0f} deg: level it.")
+                self._prompt(context, f"Tilted by {math.degrees(tilt_rad):.0f} deg: level it.", level=1.0)
             yield from pause(context, _POLL_S)
         raise PoorCalibration(
             f"The vehicle was not held still within {self.patience_s:.0f} s ({rest.why_not or 'tilted'}).",

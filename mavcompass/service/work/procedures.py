@@ -63,9 +63,9 @@ def calibration(
     worker.start()
 
     def solve(
-        track: Any, instances: tuple[int, ...], windows: list[Any], earth: Any, settings: CalibrateSettings
+        track: Any, instances: tuple[int, ...], windows: list[Any], earth: Any, *how: Any
     ) -> tuple[CalibrationResult, ...]:
-        task.results = worker.call(solve_there, track, instances, windows, earth, settings)
+        task.results = worker.call(solve_there, track, instances, windows, earth, *how)
         return task.results
 
     services = Services(

@@ -73,12 +73,12 @@ def solve(
     instances: tuple[int, ...],
     windows: list[Any],
     earth: Any,
-    settings: Any,
+    *how: Any,
 ) -> Any:
     """Solve and judge compasses; see `vehicle.calibrating.solve`."""
     from mavcompass.vehicle.calibrating import solve
 
-    return solve(track, instances, windows, earth, settings)
+    return solve(track, instances, windows, earth, *how)
 
 
 def learn(pieces: list[Any], instances: tuple[int, ...], earth: Any, limit_deg: float) -> dict[int, Any]:

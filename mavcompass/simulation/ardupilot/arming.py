@@ -65,7 +65,7 @@ class Arming:
             reasons.append("Internal errors 0x400000 l:0 bad_rotation")
         if self.calibration.running:
             reasons.append("Compass calibration running")
-        if self.calibration.reboot_wanted:
+        elif self.calibration.reboot_wanted:
             reasons.append("Compass calibrated requires reboot")
         checks = int(self.store.get("ARMING_CHECK", 1.0))
         if checks & (_CHECK_ALL | _CHECK_INS) and self.board.boot_time_s < _ACCELEROMETERS_SETTLE_S:

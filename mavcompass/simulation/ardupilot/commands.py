@@ -170,12 +170,23 @@ class Commands:
     def _start_magnetometer_calibration(self, c: m.CommandLong) -> MavResult:
         if self.status.armed:
             return MavResult.FAILED
-        self.calibration.start(int(c.param1))
+        mask, in_use = int(c.param1), self.compasses.in_use
+        chosen = tuple(i for i in INSTANCES if (mask & 1 << i - 1 if mask else in_use(i)))
+        if not chosen or not all(in_use(i) for i in chosen):
+            return MavResult.FAILED
+        self.calibration.start(chosen, math.hypot(*self.board.world.field_ned_mgauss))
         return MavResult.ACCEPTED
 
     def _accept_magnetometer_calibration(self, c: m.CommandLong) -> MavResult:
-        # It cannot succeed here: a vehicle on level ground never shows the field from all sides.
-        return MavResult.FAILED
+        found = self.calibration.accept()
+        for instance, cure in (found or {}).items():
+            self._write_vector("OFS", instance, cure.offsets_mgauss)
+            self._write_vector("DIA", instance, cure.diagonals)
+            self._write_vector("ODI", instance, cure.off_diagonals)
+            self.parameters.store.set(ardupilot_name("SCALE", instance), cure.scale)
+            self._save_device_id(instance)
+        self.compasses.parameters_changed()
+        return _as_result(found is not None)
 
     def _cancel_magnetometer_calibration(self, c: m.CommandLong) -> MavResult:
         self.calibration.cancel()

@@ -48,6 +48,7 @@ class ArduPilot(Firmware):
 
     modes: Modes
     steering: Steering
+    compasses: CompassBank
 
     def __init__(
         self, board: Board, parameters: Mapping[str, float], storage: MutableMapping[str, float] | None
@@ -119,7 +120,8 @@ class ArduPilot(Firmware):
         """Correct the new readings for the filter, where its sources name it; its calibration listens."""
         self.compasses.read()
         self.sources.correct(dt_s, self.compasses.yaw())
-        self.calibration.observe(self.board.body.yaw_rad)
+        if self.calibration.running:
+            self.calibration.observe({i: self.compasses.raw(i) for i in INSTANCES})
 
     def emergency_yaw_reset(self) -> None:
         """Set the compasses aside, as EKF3 does in flight where the receiver's velocity contradicts them."""

@@ -57,7 +57,7 @@ class Routine:
             self.board.say("AHRS: EKF3 active")
         if now >= self._next_second_s:
             self._next_second_s += 1.0
-            for progress in self.calibration.progress():
+            for progress in self.calibration.reports():
                 self.board.send(progress)
         if now >= self._next_statistics_s:
             self._next_statistics_s += _STATISTICS_PERIOD_S

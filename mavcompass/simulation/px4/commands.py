@@ -12,6 +12,7 @@ from mavcompass.simulation.autopilot import FORCE, Board, ParameterServer, Statu
 from mavcompass.simulation.px4.arming import Arming
 from mavcompass.simulation.px4.compasses import INSTANCES, Px4Compasses
 from mavcompass.simulation.px4.flight import Flight
+from mavcompass.simulation.px4.magnetometer_calibration import MagnetometerCalibration
 from mavcompass.simulation.px4.modes import Modes, mode_of
 from mavcompass.units import MGAUSS_PER_GAUSS
 
@@ -26,6 +27,7 @@ class Commands:
     arming: Arming
     flight: Flight
     compasses: Px4Compasses
+    calibration: MagnetometerCalibration
     parameters: ParameterServer
     telemetry: Telemetry
 
@@ -53,6 +55,8 @@ class Commands:
                 if reason := self.arming.refusal():
                     self.board.say(reason)
                 return MavResult.ACCEPTED
+            case MavCmd.PREFLIGHT_CALIBRATION:
+                return self._preflight_calibration(command)
             case MavCmd.FIXED_MAG_CAL_YAW:
                 return self._fixed_yaw_calibration(command)
             case _:
@@ -77,6 +81,19 @@ class Commands:
             height = self.parameters.store["MIS_TAKEOFF_ALT"]
         self.flight.take_off(height)
         return MavResult.ACCEPTED
+
+    def _preflight_calibration(self, command: CommandLong) -> MavResult:
+        """Begin the magnetometer's, with p2 = 1; all zeros cancel it."""
+        if self.calibration.running:
+            if any((command.param1, command.param2, command.param3, command.param5, command.param6)):
+                return MavResult.DENIED
+            self.calibration.cancel()
+            return MavResult.ACCEPTED
+        if self.status.armed:
+            return MavResult.TEMPORARILY_REJECTED
+        if command.param2 == 1.0:
+            self.calibration.start(len(INSTANCES))
+        return MavResult.ACCEPTED if command.param2 in (0.0, 1.0) else MavResult.UNSUPPORTED
 
     def _fixed_yaw_calibration(self, command: CommandLong) -> MavResult:
         """Set offsets from one reading and a known true yaw (NaN: north; rounded to whole degrees).

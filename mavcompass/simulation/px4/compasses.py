@@ -95,6 +95,13 @@ class Px4Compasses(Compasses):
         self._corrections[place] = self._wanted(self.steering)
         self._reset_heading()
 
+    def store_found(self, instance: int, cure: FieldCorrection) -> None:
+        """Store what its own calibration found, in the sensor's axes."""
+        rotation = self._rotations[instance - 1]
+        for name, value in px4_values(cure.turned(rotation), instance, rotation).items():
+            self._store.set(name, value)
+        self.parameters_changed()
+
     def _reset_heading(self) -> None:
         """Take the compass's heading over; aided by a receiver, the filter believes none that is far off."""
         self.read()

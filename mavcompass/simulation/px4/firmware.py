@@ -29,6 +29,7 @@ from mavcompass.simulation.px4.arming import Arming
 from mavcompass.simulation.px4.commands import Commands
 from mavcompass.simulation.px4.compasses import INSTANCES, Px4Compasses
 from mavcompass.simulation.px4.flight import Flight
+from mavcompass.simulation.px4.magnetometer_calibration import MagnetometerCalibration
 from mavcompass.simulation.px4.modes import BY_HAND, Modes, mode_of_custom
 from mavcompass.simulation.px4.reports import Px4Reports
 from mavcompass.simulation.px4.setpoints import Setpoints
@@ -41,6 +42,7 @@ class Px4(Firmware):
     """Be the software of one simulated PX4 multicopter."""
 
     modes: Modes
+    compasses: Px4Compasses
 
     def __init__(
         self, board: Board, parameters: Mapping[str, float], storage: MutableMapping[str, float] | None
@@ -60,12 +62,16 @@ class Px4(Firmware):
         self.telemetry = telemetry = Telemetry(board, reports)
         self.flight = flight = Flight(board, status, store, radio, hover, setpoints, modes, arming)
         self.steering = flight
-        self.commands = Commands(board, status, modes, arming, flight, compasses, served, telemetry)
+        self.calibration = MagnetometerCalibration(board)
+        self.commands = Commands(
+            board, status, modes, arming, flight, compasses, self.calibration, served, telemetry
+        )
 
     def boot(self, armed: bool) -> None:
         """Power up; `armed` begins hovering in HOLD instead."""
         self.parameters.reset()
         self.status.reboot_wanted = self.status.armed = False
+        self.calibration.state = "off"
         self.align()
         self.status.armed = armed
         self.status.mode = "HOLD" if armed else "POSCTL"
@@ -86,6 +92,9 @@ class Px4(Firmware):
         super().use_compasses(dt_s)
         if self.board.body.landed and not self.status.armed:
             self.board.filter.rest(dt_s, self.board.sensors.samples[0].gyro_radps[2])
+        found = self.calibration.observe(dt_s, self.compasses.raw_sensor_mgauss)
+        for instance, cure in zip(INSTANCES, found or (), strict=False):
+            self.compasses.store_found(instance, cure)
 
     def attend(self) -> None:
         """Time-outs and lists."""

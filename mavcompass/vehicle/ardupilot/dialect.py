@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
+from mavcompass.calibration.result import OwnFinding
 from mavcompass.compass_parameters import (
     ArduPilotNaming,
     ardupilot_angle_names,
@@ -18,6 +19,7 @@ from mavcompass.procedure.script import Context, Script
 from mavcompass.steering import ARDUPILOT_COMPASSES
 from mavcompass.vehicle.ardupilot.arming import exemption
 from mavcompass.vehicle.ardupilot.commit import commit_device_ids
+from mavcompass.vehicle.ardupilot.onboard import calibrate_itself
 from mavcompass.vehicle.ardupilot.plan import ArduPilotPlanner
 from mavcompass.vehicle.ardupilot.yaw import prompt_estimator, take_compass_yaw
 from mavcompass.vehicle.parameters import protocol
@@ -35,6 +37,7 @@ class ArduPilotDialect(CompassDialect):
     encoding: Encoding = "cast"
     commit = staticmethod(commit_device_ids)
     planner_kind = ArduPilotPlanner
+    restart_wanted_by_own = True
 
     def compass_parameters_typed(self, context: Context) -> Script[dict[str, Parameter]]:
         """Read everything about all compasses and what `rules.vehicle` adds, with types.
@@ -74,6 +77,16 @@ class ArduPilotDialect(CompassDialect):
     def arming_exemption(self, context: Context, said: Sequence[str]) -> Script[Mapping[str, float]]:
         """Return what leaves the compass out of the arming checks; see `vehicle.ardupilot.arming`."""
         return (yield from exemption(said, lambda names: self.read_parameters(context, names)))
+
+    def changed_by_own(self, parameters: Mapping[str, float]) -> tuple[str, ...]:
+        """List the one that it sets: learning ends with a calibration."""
+        return tuple(name for name in ("COMPASS_LEARN",) if parameters.get(name))
+
+    def calibrate_itself(
+        self, context: Context, parameters: Mapping[str, float], instances: tuple[int, ...]
+    ) -> Script[Mapping[int, OwnFinding]]:
+        """Have it calibrate without saving; see `vehicle.ardupilot.onboard`."""
+        return (yield from calibrate_itself(context, instances))
 
     def prompt_estimator(self, parameters: Mapping[str, float], flying: bool) -> Mapping[str, float]:
         """Return at what EKF3 follows its compass in flight; see `vehicle.ardupilot.yaw`."""

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 # The vehicle is advanced in pieces of this length, which is therefore how long an answer takes at most.
 STEP_S = 0.01
+_GOLDEN = 0.6180339887
+# A full turn on a side, slow enough for a compass that is read ten times a second.
+_ROUND_S = 12.0
 
 
 class SimulatedLink(Link):
@@ -120,17 +123,34 @@ class SimulatedPerson:
     def __init__(self, autopilot: SimulatedAutopilot) -> None:
         self._autopilot = autopilot
         self._busy_until_s = autopilot.time_s
+        self._roll_rad = self._pitch_rad = 0.0
+        self._sides = 0
 
     def __call__(self, show: Show) -> None:
         """Read a prompt, and do what it says unless the hands are still at the one before."""
         from mavcompass.simulation.physics.hand import HandMove
 
-        left_deg = dict(show.data).get("left_deg")
-        if left_deg is None or self._autopilot.time_s < self._busy_until_s:
+        if self._autopilot.time_s < self._busy_until_s:
             return
-        move = HandMove(math.radians(left_deg), rests_s=0.0)
-        self._autopilot.turn_by_hand([move])
-        self._busy_until_s = self._autopilot.time_s + move.lasts_s
+        told = {name: math.radians(value) for name, value in show.data}
+        move = None
+        if "left_deg" in told or "round_deg" in told:
+            turn_rad = told.get("left_deg", 0.0) + told.get("round_deg", 0.0)
+            lasts_s = 3.0 if "left_deg" in told else _ROUND_S
+            move = HandMove(turn_rad, lasts_s, 0.0, self._roll_rad, self._pitch_rad)
+        elif "roll_deg" in told or "level" in told:
+            move = HandMove(0.0, 3.0, 0.0, told.get("roll_deg", 0.0), told.get("pitch_deg", 0.0))
+        elif "tumble" in told:
+            # No two sides alike, and the better part of a turn on each.
+            self._sides += 1
+            roll_rad = math.remainder(self._sides * 2.0 * math.pi * _GOLDEN, 2.0 * math.pi)
+            pitch_rad = math.asin(2.0 * (self._sides * math.sqrt(2.0) % 1.0) - 1.0)
+            move = HandMove(math.radians(200.0), 4.0, 0.0, roll_rad, pitch_rad)
+        held = (self._roll_rad, self._pitch_rad)
+        if move is not None and (move.turn_rad or (move.roll_rad, move.pitch_rad) != held):
+            self._autopilot.turn_by_hand([move])
+            self._roll_rad, self._pitch_rad = move.roll_rad, move.pitch_rad
+            self._busy_until_s = self._autopilot.time_s + move.lasts_s
 
 
 def simulated_autopilot(

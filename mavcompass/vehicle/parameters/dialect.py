@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal
 
+from mavcompass.calibration.result import OwnFinding
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import NoReply
 from mavcompass.frames import FloatArray
@@ -28,6 +29,7 @@ class CompassDialect(ABC):
         encoding: how it puts integers into PARAM_VALUE. planner_kind: what plans its writes.
         commit: what must be done beside the parameters after they are written.
         loads_disarmed: True where what is written in flight is not in force before it is disarmed.
+        restart_wanted_by_own: True where, once its own calibration has begun, it arms only after a restart.
     """
 
     autopilot: Literal["ardupilot", "px4"]
@@ -36,6 +38,7 @@ class CompassDialect(ABC):
     planner_kind: type[Planner]
     commit: Commit | None = None
     loads_disarmed: bool = False
+    restart_wanted_by_own: bool = False
 
     def __init__(self, source: str = "SOURCE") -> None:
         """Take the vehicle's address, which error messages repeat in the command that restores."""
@@ -139,6 +142,16 @@ class CompassDialect(ABC):
     @abstractmethod
     def arming_exemption(self, context: Context, said: Sequence[str]) -> Script[Mapping[str, float]]:
         """Return the parameters that keep one arming check from looking at the compass's calibration."""
+
+    @abstractmethod
+    def changed_by_own(self, parameters: Mapping[str, float]) -> tuple[str, ...]:
+        """List the parameters, of these, that its own calibration may change by itself."""
+
+    @abstractmethod
+    def calibrate_itself(
+        self, context: Context, parameters: Mapping[str, float], instances: tuple[int, ...]
+    ) -> Script[Mapping[int, OwnFinding]]:
+        """Have the autopilot calibrate compasses by its own method while a person turns the vehicle."""
 
     def prompt_estimator(self, parameters: Mapping[str, float], flying: bool) -> Mapping[str, float]:
         """Return at what the estimator follows its compass; by itself a dialect knows no such values."""

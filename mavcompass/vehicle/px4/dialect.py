@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
+from mavcompass.calibration.result import OwnFinding
 from mavcompass.compass_parameters import px4_correction, px4_name, px4_sensor_to_body
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray
@@ -14,6 +15,7 @@ from mavcompass.vehicle.parameters.dialect import CompassDialect, no_answer
 from mavcompass.vehicle.parameters.values import Encoding, Parameter
 from mavcompass.vehicle.px4.arming import exemption
 from mavcompass.vehicle.px4.loading import RECEIVERS, load
+from mavcompass.vehicle.px4.onboard import calibrate_itself
 from mavcompass.vehicle.px4.plan import PX4Planner
 
 
@@ -55,6 +57,27 @@ class PX4Dialect(CompassDialect):
     def arming_exemption(self, context: Context, said: Sequence[str]) -> Script[Mapping[str, float]]:
         """Return what leaves the compass out of the arming checks; see `vehicle.px4.arming`."""
         return (yield from nothing(exemption(said)))
+
+    def changed_by_own(self, parameters: Mapping[str, float]) -> tuple[str, ...]:
+        """List all that it holds of compasses: it calibrates every one, and stores it at once."""
+        return tuple(name for name in parameters if name.startswith(self.prefix))
+
+    def calibrate_itself(
+        self, context: Context, parameters: Mapping[str, float], instances: tuple[int, ...]
+    ) -> Script[Mapping[int, OwnFinding]]:
+        """Have it calibrate, and read what it stored; see `vehicle.px4.onboard`."""
+        why = yield from calibrate_itself(context)
+        if why:
+            return {instance: OwnFinding(why_not=why) for instance in instances}
+        stored = yield from self.read_parameters(context, self.changed_by_own(parameters))
+        found = {}
+        for i in instances:
+            turned = px4_name("ROT", i)
+            found[i] = OwnFinding(px4_correction({**parameters, **stored}, i))
+            if stored.get(turned) != parameters.get(turned):
+                why = f"PX4 finds it mounted as {turned} {stored[turned]:g}: set that and calibrate again."
+                found[i] = OwnFinding(why_not=why)
+        return found
 
     def prompt_estimator(self, parameters: Mapping[str, float], flying: bool) -> Mapping[str, float]:
         """Return at what EKF2 follows its compass on the ground; see `vehicle.px4.loading`."""

@@ -11,14 +11,13 @@ import pytest
 from calibration_worlds import FIELD, Iron, four_positions, heading_errors, iron_of, rms, turning_track
 from hypothesis import given
 from hypothesis import strategies as st
-from mavcompass.calibration.judged import calibrate_positions
-from mavcompass.calibration.verdict import Limits
 
 from mavcompass import api
 from mavcompass.calibration import calibrate_track
 from mavcompass.calibration.methods.one_point import _gains_as_known
 from mavcompass.calibration.observation import FourPositionData
-from mavcompass.calibration.result import CalibrationResult, TrueHeading
+from mavcompass.calibration.positions.verdict import calibrate_positions
+from mavcompass.calibration.result import CalibrationResult, Limits, TrueHeading
 from mavcompass.calibration.rigid import DEFAULT_PRIOR
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.errors import PoorCalibration, UsageError

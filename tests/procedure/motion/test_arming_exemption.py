@@ -73,7 +73,7 @@ def test_it_is_calibrated_in_one_go_and_all_but_the_calibration_is_as_before(
 
 def test_what_else_forbids_arming_is_put_right_by_nobody(tmp_path: Path) -> None:
     vehicle = with_iron("rover", 3, 300.0)
-    vehicle.firmware.calibration.start(1)  # type: ignore[attr-defined]
+    vehicle.firmware.calibration.start((1,), 580.0)  # type: ignore[attr-defined]
     before = dict(vehicle.firmware.store.values)
     with pytest.raises(Refused, match="refused to arm"):
         calibrated(vehicle, tmp_path, settings("rover", "yes"))

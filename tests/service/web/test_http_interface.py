@@ -84,6 +84,15 @@ def test_the_recording_of_a_calibration_is_read_like_any_other(
     assert running.client.get("/api/history?kind=gap").json()["entries"][0]["summary"]
 
 
+def test_one_point_is_asked_for_with_its_heading(running: RunningService) -> None:
+    task = running.calibrate(
+        method="one-point", true_heading_deg=40.0, max_error_deg=45.0, writing="never", compasses=[1]
+    )
+    (compass,) = task["document"]["compasses"]
+    assert compass["method"] == "one-point"
+    assert compass["true_heading"] == {"heading_deg": pytest.approx(40.0), "sigma_deg": pytest.approx(1.0)}
+
+
 def test_the_person_is_asked_before_anything_is_written(running: RunningService) -> None:
     before = running.client.get("/api/parameters").json()["parameters"]
     for yes in (False, True):
