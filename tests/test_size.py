@@ -13,7 +13,7 @@ LINES = {
     "package gap": (15_920, 10_500),
     "package simulation": (8_080, 5_800),
     "package attitude calibration heading": (9_090, 5_400),
-    "package vehicle messages mavlink enums.py": (8_520, 5_200),
+    "package vehicle messages mavlink enums.py": (8_530, 5_200),
     "package procedure": (6_380, 4_400),
     "package service": (5_300, 4_100),
     "package logs": (4_600, 3_600),
