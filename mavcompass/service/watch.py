@@ -88,6 +88,13 @@ class _Latch:
         return self.active
 
 
+def _forgetting(weight: float, amount: float, span: float) -> tuple[float, float]:
+    """Return an average's weight after `amount` more of its `span`, and the share of the newest sample."""
+    new = -math.expm1(-amount / span)
+    weight = (1.0 - new) * weight + new
+    return weight, new / weight if new > 0.0 else 0.0
+
+
 @dataclass(slots=True)
 class _Average:
     """Average over about `span` of whatever passes (seconds, radians turned)."""
@@ -97,10 +104,8 @@ class _Average:
     weight: float = 0.0
 
     def add(self, sample: float, amount: float) -> None:
-        keep = math.exp(-amount / self.span)
-        self.weight = keep * self.weight + (1.0 - keep)
-        if self.weight > 0.0:
-            self.value += (1.0 - keep) / self.weight * (sample - self.value)
+        self.weight, share = _forgetting(self.weight, amount, self.span)
+        self.value += share * (sample - self.value)
 
     @property
     def known(self) -> bool:
@@ -150,9 +155,7 @@ class _CurrentCoupling:
     _products: list[float] = field(default_factory=lambda: [0.0] * 5)  # ii, ih, iz, hh, zz
 
     def add(self, current_a: float, horizontal: float, vertical: float, step_s: float) -> None:
-        keep = math.exp(-step_s / self.span_s)
-        self._weight = keep * self._weight + (1.0 - keep)
-        gain = (1.0 - keep) / self._weight
+        self._weight, gain = _forgetting(self._weight, step_s, self.span_s)
         values = (current_a, horizontal, vertical)
         before = [v - m for v, m in zip(values, self._means, strict=True)]
         self._means = [m + gain * b for m, b in zip(self._means, before, strict=True)]

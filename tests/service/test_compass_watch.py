@@ -46,6 +46,12 @@ def found(
     return {f"{finding.id}{finding.instance}" for finding in watch.findings}
 
 
+def test_two_looks_at_all_but_the_same_moment_are_let_pass() -> None:
+    watch = CompassWatch(WatchConfig())
+    for time_s in (1.0, math.nextafter(1.0, 2.0)):
+        assert watch.update(replace(glance(time_s, heading(time_s, 0.2)), current_a=4.0)) == ()
+
+
 def glance(time_s: float, *headings: Heading) -> Glance:
     return Glance(time_s, {h.instance: h for h in headings}, WORLD)
 
