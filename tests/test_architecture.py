@@ -113,7 +113,7 @@ ROWS = {
         {"recordings", "vehicles"},
     ],
     "report": [
-        {"calibration", "compare", "fleet", "gap", "rehearsal"},
+        {"bag", "calibration", "compare", "fleet", "gap", "rehearsal"},
         {"compare_words"},
         {"document", "figures", "gap_figures", "gap_words"},
         {"page", "svg"},

@@ -17,9 +17,9 @@ LINES = {
     "package procedure": (6_380, 4_400),
     "package service": (5_300, 4_100),
     "package logs": (4_600, 3_600),
-    "package cli": (4_140, 2_900),
-    "package": (68_800, 46_500),
-    "tests": (43_620, 29_000),
+    "package cli": (4_160, 2_900),
+    "package": (69_000, 46_500),
+    "tests": (43_700, 29_000),
     "scripts": (8_900, 4_400),
 }
 

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -64,6 +65,12 @@ class Row:
 @click.option("--json-lines", is_flag=True, help="One JSON object a line.")
 @click.option("--rate", "rate_hz", type=Number(0.01, 400.0), help="Rows a second (live: 5, recording: all).")
 @click.option("--duration", "duration_s", type=Number(0.0), help="End after this many seconds.")
+@click.option(
+    "--mcap",
+    "mcap_file",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write a recording's fields, headings and verdicts to an MCAP file (ROS 2 messages), too.",
+)
 @system_option
 @sign_key_option
 @common_options
@@ -74,6 +81,7 @@ def command(
     json_lines: bool,
     rate_hz: float | None,
     duration_s: float | None,
+    mcap_file: Path | None,
     system: int | None,
     output: Output,
 ) -> int:
@@ -85,6 +93,7 @@ def command(
     \b
     mavcompass heading udpin:0.0.0.0:14550
     mavcompass heading flight.tlog --json-lines --rate 1
+    mavcompass heading flight.tlog --mcap flight.mcap --json heading.json
     """
     from mavcompass.vehicle.transport import Recording, parse_address
 
@@ -92,6 +101,8 @@ def command(
     require_for(address)
     notes: list[str] = []
     recorded = isinstance(address, Recording)
+    if mcap_file is not None:
+        _write_mcap(source, recorded, mcap_file)
     redrawn = not (recorded or json_lines or output.json_file == "-")
     if recorded:
         rows = _recorded(source, instance, two_axis, notes)
@@ -116,6 +127,19 @@ def command(
     document = {"schema": "mavcompass.heading/1", "source": source, "headings": kept, "notes": notes}
     output.write_json(document)
     return 0
+
+
+def _write_mcap(source: str, recorded: bool, path: Path) -> None:
+    """Write a recording with what is said of it to a file, or refuse before anything is made."""
+    if not recorded:
+        raise UsageError("--mcap needs a recording.", "Record the vehicle first; a .tlog will do.")
+    if not path.absolute().parent.is_dir():
+        raise UsageError(f"There is no folder {path.parent}.", "Make it, or name a file elsewhere.")
+    from mavcompass.api import read_track
+    from mavcompass.report.bag import write_bag
+
+    write_bag(read_track(source), path)
+    click.echo(f"Written: {path}", err=True)
 
 
 def _limited(rows: Iterator[Row], rate_hz: float | None, duration_s: float | None) -> Iterator[Row]:

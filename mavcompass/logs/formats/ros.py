@@ -23,8 +23,8 @@ NAME = "ROS 2 bag (.mcap, .db3)"
 SUFFIXES = (".mcap", ".db3")
 _MAGIC = (b"\x89MCAP", b"SQLite format 3\0")
 _FIELD, _IMU, _FIX = (f"sensor_msgs/msg/{name}" for name in ("MagneticField", "Imu", "NavSatFix"))
-_MGAUSS_PER_TESLA = 1.0e7
-_FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
+MGAUSS_PER_TESLA = 1.0e7
+FLU_TO_FRD = np.array([1.0, -1.0, -1.0])
 _ENU_TO_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 Rows = dict[tuple[str, str], list[tuple[float, ...]]]
 _REMEDY = "Give the .mcap or .db3 file of a bag with sensor_msgs/MagneticField in it."
@@ -45,17 +45,17 @@ def read(path: Path, head: bytes) -> dict[int, Track]:
     compasses = {}
     for instance, topic in enumerate(fields, 1):
         time_s, values = _column(rows[_FIELD, topic])
-        reported = Series.of(time_s, values * _FLU_TO_FRD * _MGAUSS_PER_TESLA)
+        reported = Series.of(time_s, values * FLU_TO_FRD * MGAUSS_PER_TESLA)
         compasses[instance] = MagSeries(instance, reported, (InForce(-np.inf, IDENTITY),))
         notes.append(f"Compass {instance} is {topic}.")
     found: dict[str, Series] = {}
     if imu := _fullest(rows, _IMU):
         time_s, values = _column(rows[_IMU, imu])
-        found["acc_mps2"] = Series.of(time_s, values[:, :3] * _FLU_TO_FRD)
-        found["gyro_radps"] = Series.of(time_s, values[:, 3:6] * _FLU_TO_FRD)
+        found["acc_mps2"] = Series.of(time_s, values[:, :3] * FLU_TO_FRD)
+        found["gyro_radps"] = Series.of(time_s, values[:, 3:6] * FLU_TO_FRD)
         told = np.linalg.norm(values[:, 6:], axis=1) > 0.5  # all zero where the sensor has no orientation
         if told.any():
-            turned = _ENU_TO_NED @ quaternion_to_matrix(values[told, 6:]) * _FLU_TO_FRD
+            turned = _ENU_TO_NED @ quaternion_to_matrix(values[told, 6:]) * FLU_TO_FRD
             found["attitude_rad"] = Series.of(time_s[told], np.stack(matrix_to_euler(turned), axis=1))
         notes.append(f"Attitude, gyro and accelerometer are {imu}.")
     if fix := _fullest(rows, _FIX):
