@@ -11,10 +11,9 @@ import numpy as np
 
 from mavcompass import messages as mav
 from mavcompass.correction import IDENTITY, FieldCorrection
-from mavcompass.enums import MavParamType
 from mavcompass.frames import FloatArray, euler_to_quaternion
 from mavcompass.messages import telemetry
-from mavcompass.messages.bits import whole_of_single
+from mavcompass.messages.bits import number_told
 from mavcompass.time_base import with_sound_times
 from mavcompass.track import InForce, MagSeries, Series, Track
 from mavcompass.units import INCREDIBLE, MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
@@ -160,10 +159,8 @@ class TrackBuilder:
             if all(map(math.isfinite, angles)):
                 self._column("truth_q").add(time_s, *euler_to_quaternion(*angles).tolist())
         elif isinstance(message, mav.ParamValue):
-            value, bitwise = message.param_value, self.autopilot == "px4"
-            if bitwise and message.param_type == MavParamType.INT32:
-                value = float(whole_of_single(value))
-            self.parameters[message.param_id] = value
+            value, kind = message.param_value, message.param_type
+            self.parameters[message.param_id] = number_told(value, kind) if self.autopilot == "px4" else value
 
     def _note_clock(self, link_time_s: float, vehicle_time_s: float) -> None:
         if vehicle_time_s < self.latest_s - 5.0:

@@ -10,6 +10,17 @@ from __future__ import annotations
 import math
 import struct
 
+from mavcompass.enums import MavParamType
+
+# Where the bytes of each kind of whole number lie among a float's four.
+INTEGER_FORMATS: dict[int, str] = {
+    MavParamType.UINT8: "<Bxxx",
+    MavParamType.INT8: "<bxxx",
+    MavParamType.UINT16: "<Hxx",
+    MavParamType.INT16: "<hxx",
+    MavParamType.UINT32: "<I",
+    MavParamType.INT32: "<i",
+}
 _SINGLE_EXPONENT, _SINGLE_PAYLOAD = 0x7F800000, 0x007FFFFF
 _DOUBLE_EXPONENT, _PAYLOAD_SHIFT, _SIGN_SHIFT = 0x7FF0000000000000, 29, 32
 _SINGLE_SIGN = 0x80000000
@@ -44,11 +55,14 @@ def bits_of_single(value: float) -> int:
     return wide >> _SIGN_SHIFT & _SINGLE_SIGN | _SINGLE_EXPONENT | payload
 
 
-def whole_of_single(value: float) -> int:
-    """Return the signed whole number whose four bytes are those of a float's 32-bit form.
+def number_told(value: float, kind: int) -> float:
+    """Return what PARAM_VALUE's float tells where integers travel as their bytes; `kind` is a MAV_PARAM_TYPE.
 
-    >>> whole_of_single(single_from_bits(0xFFFFFFFF))
-    -1
+    >>> number_told(single_from_bits(0xFFFFFFFF), MavParamType.INT32)
+    -1.0
     """
-    bits = bits_of_single(value)
-    return bits - (1 << 32) if bits >> 31 else bits
+    form = INTEGER_FORMATS.get(kind)
+    if form is None:
+        return value
+    (whole,) = struct.unpack(form, struct.pack("<I", bits_of_single(value)))
+    return float(whole)

@@ -11,20 +11,11 @@ import numpy as np
 
 from mavcompass.enums import MavParamType
 from mavcompass.messages import ParamSet, ParamValue
-from mavcompass.messages.bits import bits_of_single, single_from_bits
+from mavcompass.messages.bits import INTEGER_FORMATS, number_told, single_from_bits
 from mavcompass.procedure.script import Context
 
 # ArduPilot sends an integer as the float of the same value; PX4 puts its four bytes into the float's place.
 Encoding = Literal["cast", "bytewise"]
-
-_INTEGER_FORMATS: dict[int, str] = {
-    MavParamType.UINT8: "<Bxxx",
-    MavParamType.INT8: "<bxxx",
-    MavParamType.UINT16: "<Hxx",
-    MavParamType.INT16: "<hxx",
-    MavParamType.UINT32: "<I",
-    MavParamType.INT32: "<i",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,24 +52,22 @@ def holds(parameter: Parameter, wanted: float, encoding: Encoding) -> bool:
 
     Whole numbers that travel bit for bit must be the same; all others as 32-bit floats.
     """
-    if encoding == "bytewise" and parameter.type in _INTEGER_FORMATS:
+    if encoding == "bytewise" and parameter.type in INTEGER_FORMATS:
         return parameter.value == wanted
     return same_value(parameter.value, wanted)
 
 
 def decode(message: ParamValue, encoding: Encoding) -> Parameter:
     """Read a PARAM_VALUE; a 32-bit float becomes its shortest decimal."""
-    form = _INTEGER_FORMATS.get(message.param_type) if encoding == "bytewise" else None
-    if form is None:
-        return Parameter(tidy(message.param_value), message.param_type)
-    (whole,) = struct.unpack(form, struct.pack("<I", bits_of_single(message.param_value)))
-    return Parameter(float(whole), message.param_type)
+    if encoding == "bytewise" and message.param_type in INTEGER_FORMATS:
+        return Parameter(number_told(message.param_value, message.param_type), message.param_type)
+    return Parameter(tidy(message.param_value), message.param_type)
 
 
 def encode(name: str, parameter: Parameter, encoding: Encoding, context: Context) -> ParamSet:
     """Build the PARAM_SET that writes a value."""
     value = parameter.value
-    form = _INTEGER_FORMATS.get(parameter.type) if encoding == "bytewise" else None
+    form = INTEGER_FORMATS.get(parameter.type) if encoding == "bytewise" else None
     if form is not None:
         (bits,) = struct.unpack("<I", struct.pack(form, round(value)))
         value = single_from_bits(bits)

@@ -2,22 +2,12 @@
 
 from __future__ import annotations
 
-import struct
-
-from mavcompass.enums import MavParamType
 from mavcompass.logs.common import BootClock, Seen
 from mavcompass.logs.formats.tlog.messages import Messages
+from mavcompass.messages.bits import number_told
 
 # PARAM_VALUE without a place in the list: the answer to a write, not to a download.
 _NO_INDEX = 65535
-_INTEGERS = {
-    MavParamType.UINT8: "<B",
-    MavParamType.INT8: "<b",
-    MavParamType.UINT16: "<H",
-    MavParamType.INT16: "<h",
-    MavParamType.UINT32: "<I",
-    MavParamType.INT32: "<i",
-}
 
 
 def parameters_seen(messages: dict[str, Messages], clock: BootClock, autopilot: str) -> list[Seen]:
@@ -51,20 +41,12 @@ def _values(found: Messages | None, clock: BootClock, *, as_bytes: bool) -> list
         Seen(
             time_s=moment,
             name=name.decode("ascii", "replace"),
-            value=_integer(value, kind) if as_bytes else value,
+            value=number_told(value, kind) if as_bytes else value,
             announced=index == _NO_INDEX,
             power_up=number,
         )
         for moment, name, value, kind, index, number in columns
     ]
-
-
-def _integer(value: float, kind: int) -> float:
-    code = _INTEGERS.get(kind)  # type: ignore[call-overload]
-    if code is None:
-        return value
-    raw = struct.pack("<f", value)
-    return float(struct.unpack_from(code, raw)[0])
 
 
 def _sensor_offsets(found: Messages, clock: BootClock) -> list[Seen]:
