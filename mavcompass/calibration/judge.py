@@ -20,7 +20,7 @@ import numpy as np
 
 from mavcompass.calibration.evidence import Evidence, gather
 from mavcompass.calibration.mounting import TURNED_RAD, as_set, mounted_turned, mounting_words, turned_compass
-from mavcompass.calibration.result import CalibrationResult, Limits, Mounting, Witness
+from mavcompass.calibration.result import BEYOND_CHANCE, CalibrationResult, Limits, Mounting, Witness
 from mavcompass.compass_parameters import is_calibrated, orientation_name, sensor_to_body
 from mavcompass.compass_parameters.orientations import NUMBERED, NUMBERED_WITHIN_RAD, angle_between, nearest
 from mavcompass.earth_field import EarthField, earth_field_of
@@ -29,8 +29,6 @@ from mavcompass.frames import euler_to_matrix, wrap_pi
 from mavcompass.heading.fault_isolation import RATHER_SOUND, FaultIsolation, isolate_faults, named
 from mavcompass.track import Track
 
-# A difference of so many sigmas is no chance.
-BEYOND_CHANCE = 3.0
 # What is left after a numbered orientation is an angle of its own from here on.
 _FREE_RAD = math.radians(1.5)
 _LEAN_RAD = math.radians(15.0)

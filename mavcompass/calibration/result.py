@@ -14,6 +14,8 @@ from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.frames import FloatArray
 from mavcompass.heading.deviation import DeviationCard, deviation_card, heading_change_rad
 
+# A difference of so many sigmas is no chance.
+BEYOND_CHANCE = 3.0
 UNCERTAIN = "The heading would be uncertain"
 # What no further position lowers.
 _NOT_AVERAGED = (ACCELEROMETER, "disagreement")

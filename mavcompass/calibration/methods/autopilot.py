@@ -9,12 +9,9 @@ import numpy as np
 
 from mavcompass.calibration.methods import auto, ellipsoid
 from mavcompass.calibration.recorded import Recorded
-from mavcompass.calibration.result import CalibrationResult, Witness
+from mavcompass.calibration.result import BEYOND_CHANCE, CalibrationResult, Witness
 from mavcompass.errors import PoorCalibration
 from mavcompass.heading.deviation import heading_change_rad
-
-# A difference of so many sigmas of our own solution is no chance (as the judge has it).
-_BEYOND_CHANCE = 3.0
 
 
 def calibrate(recorded: Recorded) -> CalibrationResult:
@@ -37,7 +34,7 @@ def calibrate(recorded: Recorded) -> CalibrationResult:
     correction = found.correction.with_motor_of(recorded.in_force)
     apart_rad = heading_change_rad(correction, own.correction, own.horizontal_mgauss, own.vertical_mgauss)
     apart_deg = math.degrees(math.sqrt(float((apart_rad**2).mean())))
-    contradicts = apart_deg > _BEYOND_CHANCE * own.heading_sigma_deg
+    contradicts = apart_deg > BEYOND_CHANCE * own.heading_sigma_deg
     said = f"The same readings by {own.method}: heading {apart_deg:.2f} deg another, rms over the circle."
     result = replace(
         own,

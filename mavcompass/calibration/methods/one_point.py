@@ -19,7 +19,14 @@ import numpy as np
 from mavcompass.calibration.methods.four_positions import witnessed
 from mavcompass.calibration.model import gain_parameters
 from mavcompass.calibration.motion.observed import motion_or_none
-from mavcompass.calibration.observation import Dwell, assemble, dwell_between, find_dwells, turn_record
+from mavcompass.calibration.observation import (
+    Dwell,
+    TurnRecord,
+    assemble,
+    dwell_between,
+    find_dwells,
+    turn_record,
+)
 from mavcompass.calibration.positions.verdict import calibrate_positions
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult, TrueHeading
@@ -52,9 +59,9 @@ def calibrate(recorded: Recorded) -> CalibrationResult:
             " model tells its strength, dip and declination.",
             "Wait for the receiver's position, or record it; or turn the vehicle, which needs no place.",
         )
-    dwells = _stands(recorded, earth.declination_rad)
-    true = recorded.true_heading or _antenna(track, dwells)
     record = turn_record(track, instance)
+    dwells = _stands(recorded, record, earth.declination_rad)
+    true = recorded.true_heading or _antenna(track, dwells)
     # Rocks and steel turn the field here, and not where the vehicle goes.
     site_rad = math.atan2(recorded.prior.site_sigma_mgauss, earth.horizontal_mgauss)
     sigma_rad = math.hypot(true.sigma_rad, earth.declination_sigma_rad, site_rad)
@@ -103,10 +110,9 @@ def _antenna(track: Track, dwells: list[Dwell]) -> TrueHeading:
 # --- where it stood ----------------------------------------------------------------------------------
 
 
-def _stands(recorded: Recorded, declination_rad: float) -> list[Dwell]:
+def _stands(recorded: Recorded, record: TurnRecord | None, declination_rad: float) -> list[Dwell]:
     """Return the still stretches at the given heading."""
     track, instance = recorded.track, recorded.instance
-    record = turn_record(track, instance)
     if recorded.windows is not None:
         return [dwell_between(track, instance, start, end, record) for start, end in recorded.windows]
     dwells = find_dwells(track, instance, record, cut=False)

@@ -16,4 +16,5 @@ from mavcompass.calibration.observation.stillness import assemble as assemble
 from mavcompass.calibration.observation.stillness import find_dwells as find_dwells
 from mavcompass.calibration.observation.stillness import observe as observe
 from mavcompass.calibration.observation.stillness import turns_between as turns_between
+from mavcompass.calibration.observation.turning import TurnRecord as TurnRecord
 from mavcompass.calibration.observation.turning import turn_record as turn_record
