@@ -17,8 +17,10 @@ from mavcompass.cli.source import require_for, sign_key_option, system_option
 from mavcompass.cli.terminal.colour import is_live
 from mavcompass.cli.terminal.dial import dial
 from mavcompass.errors import UsageError
+from mavcompass.installation.parts import require
 
 if TYPE_CHECKING:
+    from mavcompass.track import Track
     from mavcompass.vehicle.transport import Address
 
 
@@ -102,10 +104,18 @@ def command(
     notes: list[str] = []
     recorded = isinstance(address, Recording)
     if mcap_file is not None:
-        _write_mcap(source, recorded, mcap_file)
+        _may_write(mcap_file, recorded)
     redrawn = not (recorded or json_lines or output.json_file == "-")
     if recorded:
-        rows = _recorded(source, instance, two_axis, notes)
+        from mavcompass.api import read_track
+
+        track = read_track(source)
+        if mcap_file is not None:
+            from mavcompass.report.bag import write_bag
+
+            write_bag(track, mcap_file)
+            click.echo(f"Written: {mcap_file}", err=True)
+        rows = _recorded(track, instance, two_axis, notes)
     else:
         # Where a person looks on, a simulated vehicle's time is theirs.
         speed = 1.0 if redrawn and is_live(sys.stdout) else None
@@ -129,17 +139,13 @@ def command(
     return 0
 
 
-def _write_mcap(source: str, recorded: bool, path: Path) -> None:
-    """Write a recording with what is said of it to a file, or refuse before anything is made."""
+def _may_write(path: Path, recorded: bool) -> None:
+    """Refuse an MCAP file that cannot be written, before anything is read. Raises UsageError."""
     if not recorded:
         raise UsageError("--mcap needs a recording.", "Record the vehicle first; a .tlog will do.")
     if not path.absolute().parent.is_dir():
         raise UsageError(f"There is no folder {path.parent}.", "Make it, or name a file elsewhere.")
-    from mavcompass.api import read_track
-    from mavcompass.report.bag import write_bag
-
-    write_bag(read_track(source), path)
-    click.echo(f"Written: {path}", err=True)
+    require("A ROS 2 bag")
 
 
 def _limited(rows: Iterator[Row], rate_hz: float | None, duration_s: float | None) -> Iterator[Row]:
@@ -154,14 +160,12 @@ def _limited(rows: Iterator[Row], rate_hz: float | None, duration_s: float | Non
             yield row
 
 
-def _recorded(source: str, instance: int, two_axis: bool, notes: list[str]) -> Iterator[Row]:
+def _recorded(track: Track, instance: int, two_axis: bool, notes: list[str]) -> Iterator[Row]:
     import numpy as np
 
-    from mavcompass.api import read_track
     from mavcompass.heading.stream import heading_of_track
     from mavcompass.parameter_remarks import remarks_said
 
-    track = read_track(source)
     found = heading_of_track(track, None, instance, two_axis=two_axis)
     notes += remarks_said(track.autopilot, track.parameters, instance)
     nothing = np.full(len(found.time_s), np.nan)
