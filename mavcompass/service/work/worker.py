@@ -73,12 +73,13 @@ def solve(
     instances: tuple[int, ...],
     windows: list[Any],
     earth: Any,
-    *how: Any,
+    settings: Any,
+    found: Any,
 ) -> Any:
     """Solve and judge compasses; see `vehicle.calibrating.solve`."""
     from mavcompass.vehicle.calibrating import solve
 
-    return solve(track, instances, windows, earth, *how)
+    return solve(track, instances, windows, earth, settings, found)
 
 
 def learn(pieces: list[Any], instances: tuple[int, ...], earth: Any, limit_deg: float) -> dict[int, Any]:
