@@ -63,8 +63,8 @@ ROWS = {
     ],
     "procedure": [
         {"calibrate", "check", "flying", "learnt"},
-        {"autopilot_heading", "restart", "writing"},
-        {"desk", "report"},
+        {"autopilot_heading", "writing"},
+        {"desk", "report", "settings"},
         {"motion"},
         {"positions"},
         {"turning", "commands"},

@@ -222,9 +222,9 @@ def command(
     if method == "auto":
         wanted = replace(wanted, method="four-positions")
     from mavcompass.cli.calibration.vehicle import calibrate_vehicle
-    from mavcompass.procedure.calibrate import CalibrateSettings
     from mavcompass.procedure.motion import Permissions
     from mavcompass.procedure.positions import DwellSettings
+    from mavcompass.procedure.settings import CalibrateSettings
 
     writing: Literal["ask", "yes", "never"] = "yes" if yes else "never" if dry_run else "ask"
     settings = CalibrateSettings(

@@ -124,7 +124,7 @@ def _calibrate(link: Link, source: str, checked: CheckReport, system: int | None
     if not click.confirm(f"Calibrate now? {who}", err=True):
         return NOT_FIT
     from mavcompass.cli.terminal.show import showing
-    from mavcompass.procedure.calibrate import CalibrateSettings
+    from mavcompass.procedure.settings import CalibrateSettings
     from mavcompass.report.calibration import write_report
     from mavcompass.vehicle.calibrating import calibrate_on
 

@@ -9,24 +9,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 from mavcompass import messages as mav
 from mavcompass.calibration.observation import around, dwell_between
-from mavcompass.calibration.result import CalibrationResult, OwnFinding, TrueHeading, summary
+from mavcompass.calibration.result import CalibrationResult, OwnFinding, summary
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkLost, PoorCalibration, Refused
 from mavcompass.procedure.autopilot_heading import OwnHeading
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.desk import Desk
 from mavcompass.procedure.dialect import CutShort, Dialect, Overrides, SaveUndo, WriteOutcome
-from mavcompass.procedure.motion import Motion, Permissions, SafetyLimits, Wishes
-from mavcompass.procedure.positions import DwellSettings, Mover, Window, prove, visit
+from mavcompass.procedure.motion import Wishes
+from mavcompass.procedure.positions import Mover, Window, prove, visit
 from mavcompass.procedure.report import CalibrationReport
-from mavcompass.procedure.restart import restart
 from mavcompass.procedure.script import Ask, Context, Script, ask
-from mavcompass.procedure.turning import TurnBy
-from mavcompass.procedure.writing import Writer
+from mavcompass.procedure.settings import CalibrateSettings
+from mavcompass.procedure.writing import Writer, restart
 from mavcompass.track import Track
 
 # What is left of a bar then is the autopilot's own heading, which comes right by itself or not.
@@ -50,65 +48,6 @@ _RESTART = "Once its own calibration has begun the autopilot arms only after a r
 _WITNESS_HZ = 10.0
 # Silent for so long after a stop, the vehicle was not stopped but lost.
 _LOST_S = 2.5
-
-Writing = Literal["ask", "yes", "never"]
-
-
-@dataclass(frozen=True, slots=True)
-class CalibrateSettings:
-    """Hold what the person may choose.
-
-    Attributes:
-        instances: compasses to calibrate, from 1; empty means all that the vehicle has.
-        method: how the readings are solved, a name of `calibration.methods`.
-        true_heading: for one-point; None takes a second antenna's.
-        max_heading_error_deg: accept no larger predicted error.
-        motion: who turns the vehicle; "auto" lets it turn itself where it is armed.
-        turn_by: "auto" by targets; else by the pilot's own controls, in a mode in which they steer.
-        permissions: what may be done to the vehicle so that it can turn itself.
-        positions, step_rad: how many still positions, and the turn between them (negative: left).
-        enough_deg, most_positions: a vehicle that turns itself visits more positions, up to so many,
-            while the predicted heading error is larger.
-        writing: "ask" the person, "yes" without asking, "never".
-        system: MAVLink system id, where several vehicles share the link.
-        rate_hz: at which IMU messages are asked for.
-        year: decimal year to use where the vehicle does not know the date.
-        reboot: restart the autopilot where its own heading cannot be brought right otherwise.
-        orientation: set how a compass is mounted, too, where it is mounted turned.
-        rewrite: write also where the values in force are right.
-    """
-
-    instances: tuple[int, ...] = (1,)
-    method: str = "four-positions"
-    true_heading: TrueHeading | None = None
-    max_heading_error_deg: float = 2.0
-    motion: Motion = "auto"
-    turn_by: TurnBy = "auto"
-    permissions: Permissions = field(default_factory=Permissions)
-    positions: int = 4
-    step_rad: float = math.pi / 2.0
-    enough_deg: float = 0.3
-    most_positions: int = 8
-    writing: Writing = "ask"
-    system: int | None = None
-    rate_hz: float = 25.0
-    year: float = 2026.0
-    reboot: bool = False
-    orientation: bool = False
-    rewrite: bool = False
-    dwell: DwellSettings = field(default_factory=DwellSettings)
-    limits: SafetyLimits = field(default_factory=SafetyLimits)
-
-    @property
-    def stands(self) -> bool:
-        """Tell whether the vehicle is left where it stands: nobody arms, moves or turns it."""
-        return self.method == "one-point"
-
-    @property
-    def by_autopilot(self) -> bool:
-        """Tell whether the autopilot's own calibration is run, and judged, while a person turns it."""
-        return self.method == "autopilot"
-
 
 # What an autopilot's own calibration found, by compass.
 Found = Mapping[int, OwnFinding]
@@ -211,11 +150,8 @@ class _Calibration:
     def calibrate(self) -> Script[CalibrationReport]:
         """Visit the positions, solve, write, prove; give the vehicle back however it ends."""
         desk, settings, finished = self.desk, self.settings, False
-        motion: Motion = settings.motion
-        if settings.stands or settings.by_autopilot:
-            motion = "none" if settings.stands else "hand"
         mobility = desk.mobility(
-            Wishes(motion, settings.turn_by, settings.permissions, settings.limits), self.overrides
+            Wishes(settings.moved_by, settings.turn_by, settings.permissions, settings.limits), self.overrides
         )
         self.writer = writer = Writer(
             desk, self.overrides.save_undo, settings.writing == "ask", self.own.expect

@@ -28,9 +28,9 @@ from MAVProxy.modules.lib import mp_module
 
 from mavcompass.errors import MavCompassError
 from mavcompass.messages import Incoming, Message
-from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.check import CheckReport, CheckSettings, check
 from mavcompass.procedure.script import Answer, Ask, Event, Machine, Send, Show, Stop, Tick
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.report.document import live_document
 from mavcompass.vehicle.calibrating import calibration_machine
 from mavcompass.vehicle.dialects import make_dialect

@@ -8,10 +8,11 @@ from pathlib import Path
 from mavcompass.calibration import calibrate_compasses
 from mavcompass.calibration.result import CalibrationResult, Limits
 from mavcompass.earth_field import EarthField
-from mavcompass.procedure.calibrate import CalibrateSettings, Found, Services, calibrate
+from mavcompass.procedure.calibrate import Found, Services, calibrate
 from mavcompass.procedure.positions import Window
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Ask, Machine, Show
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.track import Track
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import PollAnswer, run

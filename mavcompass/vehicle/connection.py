@@ -6,10 +6,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from mavcompass.messages import Incoming
-from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.dialect import describe_compasses
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Context, Machine, Script, Show
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.procedure.vehicle_state import VehicleIdentity, find_vehicle
 from mavcompass.track import Track
 from mavcompass.track_builder import TrackBuilder

@@ -44,10 +44,10 @@ from mavcompass.earth_field import earth_field_of
 from mavcompass.errors import BadRecording, MavCompassError
 from mavcompass.fleet.examine import Job, examine
 from mavcompass.logs import write_track_csv
-from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.desk import Desk
 from mavcompass.procedure.script import Context, Machine, Script, pause
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.hand import HandMove
 from mavcompass.simulation.vehicle import SimulatedAutopilot

@@ -23,7 +23,7 @@ from pathlib import Path
 
 from mavcompass.errors import MavCompassError, WriteFailed
 from mavcompass.messages import CommandLong, Message, SetAttitudeTarget, SetPositionTargetLocalNed
-from mavcompass.procedure.calibrate import CalibrateSettings
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.autopilot import Outgoing
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.calibrating import calibrate_on

@@ -37,8 +37,8 @@ from mavcompass.gap.rehearsal.draws import Draws
 from mavcompass.gap.rehearsal.kind import kind_of
 from mavcompass.gap.rehearsal.rehearse import calibrations
 from mavcompass.logs import read_track
-from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.report import CalibrationReport
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg, heading_errors_rad
 from mavcompass.simulation.physics.compasses import draw_compasses
 from mavcompass.simulation.vehicle import SimulatedAutopilot

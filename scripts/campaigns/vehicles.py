@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mavcompass.errors import MavCompassError
-from mavcompass.procedure.calibrate import CalibrateSettings
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.compasses import draw_compasses
 from mavcompass.simulation.physics.profiles import PROFILES

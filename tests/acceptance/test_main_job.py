@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mavcompass.cli.main import main
-from mavcompass.procedure.calibrate import CalibrateSettings
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.links.simulated import SimulatedLink

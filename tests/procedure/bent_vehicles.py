@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TypeVar
 
 from mavcompass.messages import Incoming
-from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Context, Machine, Script, Show
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.procedure.vehicle_state import VehicleState, find_vehicle
 from mavcompass.simulation.physics.compasses import draw_compasses
 from mavcompass.simulation.physics.noise import generator

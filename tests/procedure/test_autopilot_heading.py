@@ -12,10 +12,10 @@ from bent_vehicles import bent_vehicle, calibrated
 from mavcompass.cli.calibration.vehicle import say_outcome
 from mavcompass.cli.options import Output
 from mavcompass.frames import wrap_pi
-from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.motion import Permissions
 from mavcompass.procedure.positions.proof import CompassProof, Proof
 from mavcompass.procedure.report import AutopilotHeading
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.report.document import live_document
 from mavcompass.simulation.ardupilot import ArduPilot
 from mavcompass.simulation.vehicle import SimulatedAutopilot

@@ -12,10 +12,10 @@ from mavcompass.calibration.result import OwnFinding
 from mavcompass.cli.main import main
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration, Refused
-from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.dialect import Overrides
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Context, Machine, Script, Show
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.procedure.vehicle_state import find_vehicle
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot

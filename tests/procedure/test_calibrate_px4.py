@@ -10,8 +10,8 @@ import numpy as np
 from bent_vehicles import bent_vehicle, calibrated
 
 from mavcompass.frames import wrap_pi
-from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.motion import Permissions
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.signals import Reading, Stimulus
 from mavcompass.simulation.vehicle import SimulatedAutopilot

@@ -12,10 +12,10 @@ from bent_vehicles import bent_vehicle
 from mavcompass import messages as mav
 from mavcompass.enums import MavCmd
 from mavcompass.errors import PoorCalibration, Refused
-from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.check import CheckSettings, check
 from mavcompass.procedure.commands import MESSAGE_IDS
 from mavcompass.procedure.script import Machine, Show
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.dialects import make_dialect

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from bent_vehicles import KINDS, bent_vehicle, calibrated
 
-from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.desk import Desk
 from mavcompass.procedure.positions import DwellSettings
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.faults import Faults, FaultyLink

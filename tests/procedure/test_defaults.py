@@ -11,7 +11,6 @@ import pytest
 from mavcompass.calibration.observation import Dwell, FourPositionData, Step
 from mavcompass.calibration.result import DEFAULT_LIMITS
 from mavcompass.calibration.rigid import DEFAULT_PRIOR
-from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.check import CheckSettings
 from mavcompass.procedure.learnt import LearntSettings
 from mavcompass.procedure.motion import Permissions
@@ -19,6 +18,7 @@ from mavcompass.procedure.motion.mobility import Wishes
 from mavcompass.procedure.motion.safety import SafetyLimits
 from mavcompass.procedure.positions import DwellSettings, HandMover, Rest
 from mavcompass.procedure.script import Context
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.procedure.turning import GyroAngle
 
 DEG = math.radians(1.0)

@@ -13,8 +13,8 @@ from mavcompass import messages as mav
 from mavcompass.calibration.result import TrueHeading
 from mavcompass.cli.main import main
 from mavcompass.enums import MavCmd
-from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.report import CalibrationReport
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.calibrating import calibrate_on

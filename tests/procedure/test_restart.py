@@ -11,8 +11,8 @@ import pytest
 from mavcompass import messages as mav
 from mavcompass.enums import EkfFlag, MavCmd, MavResult
 from mavcompass.errors import LinkLost, Refused, WriteFailed
-from mavcompass.procedure.restart import restart
 from mavcompass.procedure.script import Context, Machine, Send, Show, Tick, nothing
+from mavcompass.procedure.writing import restart
 
 WRITTEN: Any = SimpleNamespace(
     values={"COMPASS_OFS_X": 60.0, "COMPASS_OFS_Y": -40.0},

@@ -11,8 +11,8 @@ import pytest
 
 from mavcompass.errors import UsageError
 from mavcompass.frames import euler_to_matrix, rotate_back
-from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.report import CalibrationReport
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.report.calibration import write_recording_report, write_report
 from mavcompass.report.figures import level_components, position_residuals_deg, sigma_deg
 from mavcompass.vehicle.calibrating import calibrate_on

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from mavcompass import messages as mav
-from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.script import Context, Machine, Script, pause
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.vehicle.connection import Vehicle, connect
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import run

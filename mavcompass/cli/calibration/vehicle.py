@@ -11,9 +11,9 @@ from mavcompass.cli.terminal.colour import styled
 from mavcompass.cli.terminal.show import showing
 from mavcompass.cli.terminal.speech import speaking
 from mavcompass.errors import MavCompassError, PoorCalibration
-from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Machine, Show
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.procedure.vehicle_state import find_vehicles
 from mavcompass.procedure.writing import CANCELLED
 from mavcompass.report.document import live_document

@@ -9,7 +9,7 @@ from typing import Any
 
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.errors import Refused
-from mavcompass.procedure.calibrate import CalibrateSettings, Services, calibrate
+from mavcompass.procedure.calibrate import Services, calibrate
 from mavcompass.procedure.check import CheckReport, CheckSettings
 from mavcompass.procedure.check import check as check_script
 from mavcompass.procedure.dialect import WriteOutcome
@@ -20,6 +20,7 @@ from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.positions import DwellSettings
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Context, Machine, Script
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.procedure.vehicle_state import VehicleIdentity, find_vehicle
 from mavcompass.service.work import clock
 from mavcompass.service.work.tasks import CalibrationRequest, CheckRequest, Task
@@ -63,9 +64,9 @@ def calibration(
     worker.start()
 
     def solve(
-        track: Any, instances: tuple[int, ...], windows: list[Any], earth: Any, *how: Any
+        track: Any, instances: tuple[int, ...], windows: list[Any], earth: Any, settings: Any, found: Any
     ) -> tuple[CalibrationResult, ...]:
-        task.results = worker.call(solve_there, track, instances, windows, earth, *how)
+        task.results = worker.call(solve_there, track, instances, windows, earth, settings, found)
         return task.results
 
     services = Services(

@@ -11,11 +11,11 @@ from unittest.mock import patch
 
 from fault_cells.scene import Scene, WatchedLink
 from mavcompass.errors import MavCompassError
-from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.check import CheckSettings
 from mavcompass.procedure.check import check as check_script
 from mavcompass.procedure.motion import Permissions
 from mavcompass.procedure.script import Machine
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.service import station as station_module
 from mavcompass.service.config import ServiceConfig, StorageConfig, VehicleConfig
 from mavcompass.service.work import procedures

@@ -11,10 +11,10 @@ import pytest
 from bent_vehicles import calibrated, perform
 
 from mavcompass.errors import Refused
-from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.dialect import Overrides
 from mavcompass.procedure.motion import Permissions
 from mavcompass.procedure.script import Context, Script, nothing
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.procedure.vehicle_state import VehicleState
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.compasses import draw_compasses

@@ -11,8 +11,8 @@ from bent_vehicles import calibrated
 from mavcompass.enums import MavCmd
 from mavcompass.errors import Refused
 from mavcompass.messages import CommandLong, Message
-from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.motion import Permissions
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.stopping import StopRequest

@@ -14,8 +14,8 @@ from bent_vehicles import calibrated
 from mavcompass.enums import MavCmd
 from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.messages import CommandLong, Incoming, Message
-from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.report import CalibrationReport
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.hand import HandMove, four_turns
 from mavcompass.simulation.vehicle import SimulatedAutopilot

@@ -11,9 +11,9 @@ from bent_vehicles import bent_vehicle, calibrated
 
 from mavcompass.calibration import calibrate_track
 from mavcompass.correction import FieldCorrection
-from mavcompass.procedure.calibrate import CalibrateSettings
 from mavcompass.procedure.positions import Proof, prove
 from mavcompass.procedure.report import CalibrationReport
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 
 
