@@ -25,6 +25,8 @@ _FALL_MPS, _BUOYANT_MPS = 8.0, 0.1
 _STREAM_MPS = 0.06
 _SPEED_ACCELERATION_MPS2 = 1.5
 _TREMOR_RAD, _TREMOR_PERIOD_S = math.radians(0.5), 0.8
+# Angles and rates below this, in radians and per second, count as rest.
+_AT_REST = 1e-7
 _STICTION_RADPS = math.radians(0.25)
 # A suspension, a hull, an airframe takes so long to lean.
 _LEAN_LAG_S = 0.2
@@ -234,8 +236,11 @@ class Body:
         if self._held.moving:
             amplitude, period = _TREMOR_RAD, _TREMOR_PERIOD_S
         elif self.landed or not amplitude:
-            j[0] = j[1] = j[2] = j[3] = 0.0
-            return
+            # What trembled comes to rest where it stands: no tilt ends without a rate.
+            amplitude, period = 0.0, _TREMOR_PERIOD_S
+            if max(map(abs, j)) < _AT_REST:
+                j[0] = j[1] = j[2] = j[3] = 0.0
+                return
         omega = 2.0 * math.pi / period
         zeta = 0.5
         # The stationary variance of x of x'' + 2 z w x' + w^2 x = q n is q^2 / (4 z w^3).

@@ -44,7 +44,21 @@ def test_a_tilt_is_held_until_the_next_move(station):
     s.wait(2.5)
     assert math.degrees(s.vehicle.truth.roll_rad) == pytest.approx(12.0, abs=0.01)
     s.wait(3.0)
-    assert s.vehicle.truth.roll_rad == pytest.approx(0.0, abs=1e-6)
+    assert math.degrees(s.vehicle.truth.roll_rad) == pytest.approx(0.0, abs=0.01)
+
+
+def test_the_gyro_feels_how_what_trembles_comes_to_rest(station):
+    """No tilt ends without a rate: what the gyro adds up to, over move and rest, is how far it leans."""
+    s = station(armed=False, tilt_deg=0.0)
+    s.wait(1.0)
+    s.vehicle.turn_by_hand([HandMove(0.0, lasts_s=3.0)])
+    angle = worst = 0.0
+    for _ in range(200):
+        before = s.vehicle.body.rate_radps[0]
+        s.wait(0.02)
+        angle += 0.01 * (before + s.vehicle.body.rate_radps[0])
+        worst = max(worst, abs(angle - s.vehicle.truth.roll_rad))
+    assert math.degrees(worst) < 0.1 and math.degrees(abs(s.vehicle.truth.roll_rad)) < 0.1
 
 
 def test_a_persons_four_turns_are_uneven(station):
