@@ -15,7 +15,14 @@ from mavcompass.frames import FloatArray, euler_to_matrix
 from mavcompass.gap.attitude.kinematics import cross_matrices
 from mavcompass.gap.attitude.reference import Reference
 from mavcompass.gap.fit.hypothesis import Term
-from mavcompass.gap.fit.lateness import TURNING, Late, Order, late_members, lateness, made_late, together
+from mavcompass.gap.fit.lateness import (
+    Order,
+    late_members,
+    lateness,
+    made_late,
+    make_changes_late,
+    together,
+)
 from mavcompass.gap.replay.noise import group_values
 from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.replay.nuisance import REFERENCE_YAW, Nuisance, turned
@@ -25,8 +32,6 @@ from mavcompass.simulation.physics.signals import Reading
 _STEP = 1e-3
 _NUDGE_RAD = 1e-5
 _NUDGE_MGAUSS = 0.01
-# Matrices that differ by so little are alike.
-_ALIKE = 1e-9
 
 # Changes of a prediction by k parameters, of the compass and other sensors that are replayed, (N, 3, k).
 Changes = dict[Group, FloatArray]
@@ -47,8 +52,7 @@ class Derivatives:
             for some in (slice(0, self._late.start), slice(self._late.stop, len(order)))
         )
         self._parts: list[Changes] = []
-        # Of each column its stage, and the state that it is a change of.
-        self._stages: list[Stage] = []
+        # Of each column the state that it is a change of.
         self._then: list[int] = []
         # The first of three columns of an attitude's turns about the axes, and how it may turn.
         self._turns: tuple[int, FloatArray] | None = None
@@ -69,7 +73,7 @@ class Derivatives:
             part = self._after.between([moved.reading], self._states[then].reading, [step])
         else:
             part = self._by_parameters(effect, theta, free, at, then)
-        self._add(part, effect.stage, then)
+        self._add(part, then)
 
     def as_it_begins(self, effect: Effect, theta: FloatArray, free: NDArray[np.int64]) -> None:
         """Add the derivatives by the free parameters of another effect, that does nothing with what it
@@ -77,38 +81,30 @@ class Derivatives:
         stage = effect.stage_at(theta)
         at = sum(member.stage_at(self._thetas[place]) <= stage for member, place in self._order)
         if free.size:
-            self._add(self._by_parameters(effect, theta, free, at, at), effect.stage, at)
+            self._add(self._by_parameters(effect, theta, free, at, at), at)
 
     def changes(self) -> Changes:
         """Return all columns in the order in which they were added; nothing where there are none."""
         if not self._parts:
             return {}
         changes = {g: np.concatenate([part[g] for part in self._parts], axis=2) for g in self._after.groups}
-        late = self._late
-        if late and min(self._then) <= late.start:
+        late, then, mag = self._late, np.array(self._then), changes["mag"]
+        if (early := then <= late.start).any() and late:
             by_s = lateness([self._order[i] for i in late], self._thetas)
-            made = Late(self._states[late.start], by_s, self._after.seen)
-            if self._turns is not None and made.interpolates:
-                # Then curves are interpolated, too.
-                changes = self._with_curves(changes)
-            early = [s if n <= late.start else None for s, n in zip(self._stages, self._then, strict=True)]
-            made.make(changes["mag"], early)
+            mag[:, :, early] = make_changes_late(mag[:, :, early], self._replay.time_s, by_s)
         if late.stop < len(self._order):
-            mag, behind = changes["mag"], np.array(self._then) <= late.stop
+            behind = then <= late.stop
             mag[:, :, behind] = self._behind.through(0, mag[:, :, behind])
         return self._with_curves(changes)
 
     def _with_curves(self, changes: Changes) -> Changes:
-        """Put the curves of an attitude in the place of its turns about the axes, if that is still to do.
+        """Put the curves of an attitude in the place of its turns about the axes.
 
         What an attitude is off by at a reading, it is off by when that was taken.
         """
         if self._turns is None:
             return changes
         first, turns = self._turns
-        self._turns = None
-        self._stages[first : first + 3] = [self._stages[first]] * turns.shape[2]
-        self._then[first : first + 3] = [self._then[first]] * turns.shape[2]
         split = {g: np.split(values, (first, first + 3), axis=2) for g, values in changes.items()}
         return {g: np.concatenate([x, axes @ turns, y], axis=2) for g, (x, axes, y) in split.items()}
 
@@ -134,11 +130,9 @@ class Derivatives:
             return self._behind.changes(then - self._late.stop, moved, steps)
         return self._after.between([one.reading for one in moved], self._states[then].reading, steps)
 
-    def _add(self, part: Changes, stage: Stage, then: int) -> None:
+    def _add(self, part: Changes, then: int) -> None:
         self._parts.append(part)
-        count = part["mag"].shape[2]
-        self._stages += [stage] * count
-        self._then += [then] * count
+        self._then += [then] * part["mag"].shape[2]
 
 
 def _nudged(signals: Signals) -> list[Signals]:
@@ -220,20 +214,6 @@ class _After:
         s = self._states[first].stimulus
         # R exp(v x) sees B as R' (B + B x v).
         return self.of_readings(first, s.rotation.transpose(0, 2, 1) @ cross_matrices(s.field_ned_mgauss))
-
-    def seen(self, roughly: FloatArray) -> FloatArray:
-        """Return how the compass sees a small change of the world's field at last, (3, 3) or (N, 3, 3).
-
-        Where no matrix of each row tells, that is what is `roughly` known, (3, 3).
-        """
-        first = sum(effect.stage in TURNING for effect, _ in self._order)
-        if first == len(self._order):
-            return np.eye(3)
-        if not self.by_itself(first):
-            return roughly
-        matrix = self._matrix(first)
-        alike = matrix.ndim == 3 and np.abs(matrix - matrix[0]).max() < _ALIKE
-        return matrix[0] if alike else matrix
 
     def _matrix(self, at: int) -> FloatArray:
         """Return the derivative of the prediction by the compass's reading before member `at`, (3, 3) or
