@@ -42,14 +42,22 @@ class Penalty:
 
 @dataclass(frozen=True, slots=True)
 class Levels:
-    """Hold the thresholds of decision: two false-alarm rates, and the probability that is sure.
+    """Hold all thresholds of decision: two false-alarm rates, and four limits of what is reported.
 
-    `gain`: how seldom healthy vehicles gain so much from any set; `fit`: how seldom they leave so much.
+    Attributes:
+        gain: how seldom healthy vehicles gain so much from any set; fit: how seldom they leave so much.
+        sure: the probability from which a set is named.
+        above: times the floor from which a figure is above it, less being the floor's own uncertainty.
+        held: the share of what all known sets hold that the told ones do.
+        coarsest_deg: the heading's floor from which on a recording tells nothing.
     """
 
     gain: float
     fit: float
     sure: float
+    above: float
+    held: float
+    coarsest_deg: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -70,8 +70,8 @@ PENALTY: dict[str, tuple[float, float]] = {
     "alone": (1.0, 20.0),
 }
 OTHERS = [(a, b) for a in (0.5, 1.0, 1.5, 2.0) for b in (5.0, 10.0, 20.0, 30.0, 40.0, 60.0)]
-# False-alarm rates of the two tests, and the probability that is called sure.
-LEVELS = {"gain": 0.01, "fit": 0.005, "sure": 0.9}
+# All thresholds of decision (gap/tables.py): chosen rates of false alarms, and limits of what is reported.
+LEVELS = {"gain": 0.01, "fit": 0.005, "sure": 0.9, "above": 1.3, "held": 0.9, "coarsest_deg": 15.0}
 # What the map and the score of healthy vehicles are made of (gap/answer/evidence.py).
 MAPPED = (
     "lead", "residual", "held_out", "structure", "strain", "confirmed", "members", "unlikely", "exact",

@@ -10,13 +10,7 @@ from mavcompass.gap.answer.shrink import above, figures, yaw_wander_deg
 from mavcompass.gap.fit.hypothesis import Fit
 from mavcompass.gap.result import Closing, Verdict
 from mavcompass.gap.tables import Kind, Levels, Outcome, tables
-from mavcompass.gap.traces.rapid import follows_way
-from mavcompass.simulation.effects.effect import FREQUENCY
 
-# Where a heading is told no better, a recording tells nothing.
-_COARSEST_DEG = 15.0
-# Sets are told until they hold so much of what any known set does, but none that weighs less than this.
-_HELD, _WEIGHTLESS = 0.9, 0.01
 Sets = tuple[tuple[frozenset[str], float], ...]
 
 
@@ -64,8 +58,7 @@ def verdict(of: Findings, levels: Levels) -> Verdict:
 class Answer:
     """Hold the verdict, the fit whose effects are named, what it closes, and every set that may be the cause.
 
-    `sets` are without what single readings tell; `in_step` says that a line may be of something that turns
-    with the wheels, `wander_deg` by how much an unwitnessed yaw has to wander.
+    `sets` are without what single readings tell; `wander_deg` is how far an unwitnessed yaw has to wander.
     """
 
     verdict: Verdict
@@ -74,7 +67,6 @@ class Answer:
     heading: Closing
     sets: Sets
     coordinate: str | None = None
-    in_step: bool = False
     wander_deg: float = 0.0
 
     @property
@@ -94,7 +86,6 @@ def decide(evidence: Evidence) -> Answer:
     healthy = table.healthy
     outcomes = table.map.probabilities(known.values)
     p_gain = healthy.p_of_gain(known.gain)
-    in_step = _in_step(evidence, fit)
     alone = figures(evidence, none, with_scatter=False)
     # Something lies above a floor without the set, or what it was not fitted to gains: other readings, and
     # what is known of vehicle and place.
@@ -116,21 +107,21 @@ def decide(evidence: Evidence) -> Answer:
             p_gain=p_gain,
             p_fit=healthy.p_of_fit(known.kind, known.values),
             outcomes=outcomes,
-            shared=in_step or bool(fit.ids & evidence.half_testable),
+            shared=bool(fit.ids & evidence.half_testable),
             above=shown or wander_deg > 0.0 or _lifted(known.kind, field, heading),
-            testable=turns and (floor.measured or heading.floor < _COARSEST_DEG),
+            testable=turns and (floor.measured or heading.floor < table.levels.coarsest_deg),
         ),
         table.levels,
     )
     known_sets = ((fit.ids, outcomes["whole"] + outcomes["part"]), *posterior.weights(outcomes["other"]))
     where = evidence.adequacy.where if said in ("unknown", "named_with_remainder") else None
     if said in ("named", "ambiguous", "named_with_remainder"):
-        return Answer(said, fit, field, heading, _told(known_sets), where, in_step, wander_deg)
+        return Answer(said, fit, field, heading, _told(known_sets), where, wander_deg)
     if said == "unknown" and (evidence.faults or evidence.traces.causes):
         # What single readings show by themselves is named, whatever else there is.
         both = figures(evidence, none, with_scatter=True)
         sets = ((none.ids, 1.0 - outcomes["unknown"]),)
-        return Answer("named_with_remainder", none, *both, sets, where, in_step)
+        return Answer("named_with_remainder", none, *both, sets, where)
     return Answer(said, none, *alone, _told([one for one in known_sets if one[0]]), where)
 
 
@@ -140,23 +131,12 @@ def _lifted(kind: Kind, field: Closing, heading: Closing) -> bool:
 
 
 def _told(sets: Sequence[tuple[frozenset[str], float]]) -> Sets:
-    """Return the smallest set of sets that holds nine tenths of what all of them do, the likeliest first."""
-    whole, held, out = sum(weight for _, weight in sets), 0.0, []
+    """Return the smallest set of sets that holds as much of what all of them do as is told, the likeliest
+    first."""
+    least, held, out = tables().levels.held * sum(weight for _, weight in sets), 0.0, []
     for ids, weight in sorted(sets, key=lambda one: -one[1]):
-        if held >= _HELD * whole or weight < _WEIGHTLESS:
+        if held >= least:
             break
         out.append((ids, weight))
         held += weight
     return tuple(out)
-
-
-def _in_step(evidence: Evidence, named: Fit) -> bool:
-    """Tell whether a named line is one of something that may turn as the vehicle drives."""
-    if evidence.track.vehicle == "copter":
-        # What flies has nothing that turns with its way.
-        return False
-    replayed = evidence.replay
-    taken = [r for r in evidence.traces.rapid if FREQUENCY in r.parameters]
-    if (hertz := named.value(FREQUENCY)) is not None and follows_way(replayed, hertz):
-        return True
-    return any(follows_way(replayed, r.parameters[FREQUENCY], r.change_mgauss) for r in taken)

@@ -35,10 +35,6 @@ _UNITS = {"current": "A", "throttle": "", "temperature": "degC"}
 _MOST_SHAPLEY = 4
 # An age of readings beyond so many of its sigmas is unusual.
 _BEYOND_USUAL = 2.0
-_IN_STEP = (
-    "The line keeps step with the way driven: a magnet on something that turns with the wheels would look "
-    "the same. Record the vehicle at another speed."
-)
 _WANDERS = (
     "The yaw of the attitude, which only the compass itself tells, has to wander by {:.0f} deg: field and "
     "dip were compared, but the heading hardly. A recording of the vehicle in a good state (--baseline) "
@@ -198,7 +194,6 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
         notes=(
             *problem.replay.notes,
             *remarks_said(evidence.track.autopilot, evidence.track.parameters, evidence.compass),
-            *((_IN_STEP,) if answer.in_step else ()),
             *((_WANDERS.format(answer.wander_deg),) if answer.wander_deg else ()),
             *((_UNSEEN,) if named.terms and not shows(problem, named, test) else ()),
             *(_same(evidence) if named.terms else ()),

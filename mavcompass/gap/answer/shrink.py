@@ -17,10 +17,9 @@ from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.left.floor import Floor, heading_error_rad, heading_scatter, rms
 from mavcompass.gap.replay.nuisance import REFERENCE_YAW
 from mavcompass.gap.result import Bar, Closing
+from mavcompass.gap.tables import tables
 from mavcompass.simulation.effects.effect import LIMIT
 
-# What lies above the floor by less may be the floor's own uncertainty.
-ABOVE = 1.3
 # Held-out readings that an effect changes by less than this (squared sigmas, in all) cannot judge it.
 _SILENT = 9.0
 _RESAMPLES = 1000
@@ -75,7 +74,7 @@ def figures(evidence: Evidence, named: Fit, with_scatter: bool) -> tuple[Closing
 
 def above(closing: Closing, value: float) -> bool:
     """Tell whether a figure lies above its floor by more than that may be off."""
-    return value > ABOVE * closing.floor
+    return value > tables().levels.above * closing.floor
 
 
 def shows(problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> bool:
@@ -93,7 +92,7 @@ def yaw_wander_deg(problem: Problem, fit: Fit, floor: Floor, heading: Closing) -
         return 0.0
     yaw = problem.values(fit).get(REFERENCE_YAW)
     wander = 0.0 if yaw is None else math.degrees(rms(reference.wander_rad(yaw[1:])[problem.usable]))
-    return wander if wander > ABOVE * heading.floor else 0.0
+    return wander if above(heading, wander) else 0.0
 
 
 def _closing(

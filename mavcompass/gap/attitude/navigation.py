@@ -29,14 +29,12 @@ from mavcompass.gap.attitude.smoother import (
     PHI,
     SCALE,
     SCALE_SIGMA,
+    USUAL_V_MPS,
     Sensed,
-    Sizes,
     Smoother,
     Witness,
 )
-from mavcompass.simulation.effects.rotations import skew
 from mavcompass.track import Track, uncut
-from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 # What is left of a pass is the square of how far it moved, and how much its velocities are believed.
 _PASSES, _SETTLED_RAD, _AS_TRUSTED = 10, math.radians(0.3), 0.1
@@ -54,15 +52,10 @@ _DOWN = np.array([0.0, 0.0, 1.0])
 _WANDER_RAD, _LENGTH_S, _MOST_LENGTHS = math.radians(20.0), 20.0, 15.0
 # Modes smaller than this are of no consequence.
 _LEAST_RAD = math.radians(0.1)
-# Half the averaging window, seconds: the shortest and the longest.
-_SHORTEST_S, _LONGEST_S = 4.0, 30.0
-_QUICK_S = 2.0
 _FEWEST = 20
-_LEVELLINGS = 3
-# Accelerations of vehicles come and go within this time.
-_MEMORY_S = 5.0
-# What remains of a gyro's bias, because it changes on the way.
-_WANDERING_RADPS = math.radians(0.05)
+# Half the time over which what is felt is averaged to gravity: accelerations come and go within five seconds,
+# and a gyro's drift of a twentieth of a degree a second tilts the ends of it by less than one degree.
+_LEVELLED_S = 20.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,15 +101,14 @@ def smoothed_attitude(
     scale_sigma: float = SCALE_SIGMA,
 ) -> Smoothed:
     """Smooth a first trajectory (N, 3, 3); its yaw must be about that of the velocity, if there is one."""
-    smoother = Smoother(sensed, bias, velocity, witness, scale_sigma)
-    sizes = Sizes()
+    smoother, bound_mps = Smoother(sensed, bias, velocity, witness, scale_sigma), USUAL_V_MPS
     rotation, trust = smoother.through(smoother.at_knots(start)), smoother.full_trust()
     solved: Solved | None = None
     for turn in range(_PASSES):
         chain = smoother.chain(rotation, trust)
         if turn == 1:
-            sizes = smoother.likeliest(chain, sizes)
-        solved = smoother.with_sizes(chain, sizes).solve()
+            bound_mps = smoother.likeliest_bound(chain)
+        solved = smoother.bounded(chain, bound_mps).solve()
         before, trust = trust, smoother.trust(solved)
         phi = solved.states[:, PHI]
         rotation = smoother.through(exponentials(phi) @ smoother.at_knots(rotation))
@@ -270,91 +262,24 @@ def sensed_by(track: Track) -> Sensed | None:
 
 
 def started(data: Sensed, resting: Bias, velocity: Velocity | None, autopilot: FloatArray | None) -> Start:
-    """Start from an autopilot's attitude (N, 3, 3) where there is one, else by levelling the gyro."""
-    if autopilot is None:
-        return _levelled(data, resting, velocity)
+    """Start from an autopilot's attitude (N, 3, 3) where there is one, else by levelling the gyro; at the yaw
+    that a receiver's velocity tells."""
     # Only a start: it goes on where readings were lost, and its level is about right.
-    bearing = None if velocity is None else velocity.bearing(data.time_s, autopilot, data.force_mps2, 0.0)
-    rotation = autopilot if bearing is None else turned_about_down(autopilot, -bearing)
-    return Start(rotation, bearing is not None)
-
-
-def _levelled(data: Sensed, resting: Bias, velocity: Velocity | None) -> Start:
-    """Find the receiver's bearing, the gyro's bias and the level by turns, from the rest's bias on."""
-    linear = np.zeros_like(data.force_mps2)
-    bias, bearing = resting.mean, None
-    there = _still_axes(data, bias)
-    for turn in range(_LEVELLINGS):
-        if turn > 0:
-            prior = Bias(resting.mean - bias, resting.sigma)
-            bias = bias + _leaning_bias(data, there, _felt_there(data, there) - linear, prior)
-            again = _still_axes(data, bias)
-            linear = np.einsum("nij,nkj,nk->ni", again, there, linear)
-            there = again
-        gravity = _felt_there(data, there) - linear
-        half_s = _half_window_s(data, there, gravity)
-        down = _smoothed_down(data, there, gravity, half_s)
-        rotation = with_down(data.time_s, data.rate_radps - bias, down)
-        if velocity is not None:
-            absorbed = half_s if bearing is None else 0.0
-            bearing = velocity.bearing(data.time_s, rotation, data.force_mps2, absorbed)
-            if bearing is not None:
-                # From the receiver's axes back into those that stand still.
-                turned = turned_about_down(rotation, -bearing)
-                acceleration = velocity.acceleration(data.time_s)
-                linear = np.einsum("nij,nkj,nk->ni", there, turned, acceleration)
+    rotation, absorbed_s = (_levelled(data, resting), _LEVELLED_S) if autopilot is None else (autopilot, 0.0)
+    bearing = None
+    if velocity is not None:
+        bearing = velocity.bearing(data.time_s, rotation, data.force_mps2, absorbed_s)
     if bearing is not None:
         rotation = turned_about_down(rotation, -bearing)
     return Start(rotation, bearing is not None)
 
 
-def _still_axes(data: Sensed, bias: FloatArray) -> FloatArray:
-    """Integrate the gyro without a bias: body to axes that stand still, (N, 3, 3)."""
-    return integrated(data.time_s, data.rate_radps - bias)
-
-
-def _felt_there(data: Sensed, there: FloatArray) -> FloatArray:
-    return np.asarray(np.einsum("nij,nj->ni", there, data.force_mps2))
-
-
-def _leaning_bias(data: Sensed, there: FloatArray, gravity: FloatArray, prior: Bias) -> FloatArray:
-    """Return the change of the gyro's bias (3,) that makes down stand still.
-
-    With true rotations (1 + [phi]x) R, phi' = -R b, gravity is -g d there, or R f = -g d + g [d]x C b
-    with C the integral of R: linear in d and b.
-    """
-    step = np.diff(data.time_s, prepend=data.time_s[0])[:, None, None]
-    turned = np.cumsum(there * step, axis=0)
-    mean = gravity[data.felt].mean(axis=0)
-    d = -mean / max(float(np.linalg.norm(mean)), 1e-9)
-    leaning = STANDARD_GRAVITY_MPS2 * np.einsum("ij,njk->nik", skew(d), turned[data.felt])
-    design = (leaning - leaning.mean(axis=0)).reshape(-1, 3)
-    target = (gravity[data.felt] - mean).reshape(-1)
-    # Only one value in each memory of the accelerations is news, and a turn's acceleration can look like a
-    # bias: all of what varies, in two directions, counts as noise.
-    news = min(float(np.median(np.diff(data.time_s))) / _MEMORY_S, 1.0)
-    weight = news / max(float(target @ target) / int(data.felt.sum()) / 2.0, 1e-6)
-    precision = weight * design.T @ design + np.diag(prior.sigma**-2)
-    right = weight * design.T @ target + prior.mean / prior.sigma**2
-    return np.asarray(np.linalg.solve(precision, right))
-
-
-def _half_window_s(data: Sensed, there: FloatArray, gravity: FloatArray) -> float:
-    """Return the half window that loses least between accelerations and the gyro's drift.
-
-    An acceleration a that lasts for tau tilts the mean over T by a tau / (g T), a drift b by b T / 4 at the
-    ends: least at T = 2 sqrt(a tau / (g b)).
-    """
-    quick, slow = (_smoothed_down(data, there, gravity, s) for s in (_QUICK_S, _LONGEST_S))
-    leaning = math.sqrt(float(np.mean(np.sum((quick - slow) ** 2, axis=1))))
-    best = 2.0 * math.sqrt(leaning * _MEMORY_S / _WANDERING_RADPS)
-    return min(max(best, _SHORTEST_S), _LONGEST_S)
-
-
-def _smoothed_down(data: Sensed, there: FloatArray, gravity: FloatArray, half_s: float) -> FloatArray:
-    """Return the down vector in body axes, (N, 3): gravity averaged over both sides of each time."""
-    down = -gravity * data.felt[:, None]
+def _levelled(data: Sensed, resting: Bias) -> FloatArray:
+    """Turn as the gyro says about a down that is gravity averaged over both sides of each time, (N, 3, 3)."""
+    rate = data.rate_radps - resting.mean
+    there = integrated(data.time_s, rate)
+    down = -np.einsum("nij,nj->ni", there, data.force_mps2) * data.felt[:, None]
     # Where nothing was felt nearby, the average of all is the best there is.
-    total = triangle_means(data.time_s, down, half_s) + 1e-6 * down.mean(axis=0)
+    total = triangle_means(data.time_s, down, _LEVELLED_S) + 1e-6 * down.mean(axis=0)
     total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
-    return np.asarray(np.einsum("nji,nj->ni", there, total))
+    return with_down(data.time_s, rate, np.einsum("nji,nj->ni", there, total))

@@ -31,15 +31,14 @@ from mavcompass.gap.attitude.navigation import (
     stretched,
     wandering_yaw,
 )
-from mavcompass.gap.attitude.receiver import Velocity, receiver_velocity
+from mavcompass.gap.attitude.receiver import receiver_velocity
 from mavcompass.gap.attitude.scatter import Bias, bias_at_rest
-from mavcompass.gap.attitude.smoother import LEVEL_RAD, Witness
+from mavcompass.gap.attitude.smoother import Witness
 from mavcompass.gap.attitude.steering import age_of, steered_by, told_rotation
 from mavcompass.gravity import require_gravity
 from mavcompass.simulation.effects.sampling import at_times, rotation_at
 from mavcompass.simulation.physics.signals import Turning
 from mavcompass.track import Track
-from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 ReferenceKind = Literal["columns", "fused", "gps-yaw", "gyro", "attitude"]
 Choice = Literal["auto", "gyro", "gps-yaw", "attitude", "columns"]
@@ -250,11 +249,6 @@ def _fused(
     smoothed = smoothed_attitude(sensed, rotation, resting, heard, witness)
     if not smoothed.borne_out:
         return _fused(track, time_s, choice, instance, doubted, listening=False)
-    if heard is not None and witness is not None and math.isinf(witness.constant_rad):
-        lean = _leaning_rad(heard, clock, smoothed.rotation, witness.rotation)
-        if lean > LEVEL_RAD:
-            witness = replace(witness, level_rad=math.hypot(LEVEL_RAD, lean))
-            smoothed = smoothed_attitude(sensed, smoothed.rotation, resting, heard, witness)
     if not believable(smoothed, resting) and witness is not None and math.isinf(witness.constant_rad):
         # An autopilot that believes a bent compass leans the wrong way when it accelerates.
         alone = started(sensed, resting, velocity, None) if start.bearing else start
@@ -293,13 +287,6 @@ def _fused(
         witnessed=bool(told),
         notes=(f"The attitude is the smoothed gyro and accelerometer{by}.",),
     )
-
-
-def _leaning_rad(heard: Velocity, clock: FloatArray, rotation: FloatArray, autopilot: FloatArray) -> float:
-    """Return how far an autopilot leans that turns what its receiver tells into axes of a bent yaw."""
-    turned = 2.0 * np.sin(0.5 * _ahead(rotation, autopilot))
-    pushed = np.linalg.norm(heard.acceleration(clock)[:, :2], axis=1)
-    return float(np.sqrt(np.mean((turned * pushed) ** 2))) / STANDARD_GRAVITY_MPS2
 
 
 def _autopilot_rotation(track: Track, clock: FloatArray) -> FloatArray | None:

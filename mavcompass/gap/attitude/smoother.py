@@ -17,8 +17,7 @@ solved in one piece, and about the corrected trajectory again until nothing move
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,17 +51,17 @@ LOST_YAW_RAD, _UNKNOWN_V_MPS = math.radians(60.0), 100.0
 _RECEIVER_MEMORY_S, _VELOCITY_MEMORY_S, _OUTLIER = 1.0, 10.0, 2.5
 # A velocity is contradicted where more is left of it than it varies by, and than so many of its errors.
 _BORNE_OUT = 2.0
-_VELOCITIES_MPS = (0.2, 0.6, 2.0, 6.0)
+USUAL_V_MPS, _VELOCITIES_MPS = 2.0, (0.2, 0.6, 2.0, 6.0)
 # An autopilot's level is made of the same sensors, and its filter errs as the vehicle turns: it bounds the
 # level, and carries it over what was lost.
-LEVEL_RAD, _LEVEL_MEMORY_S, _LEVEL_SCATTER_RAD = math.radians(2.0), 20.0, math.radians(0.5)
+_LEVEL_RAD, _LEVEL_MEMORY_S, _LEVEL_SCATTER_RAD = math.radians(2.0), 20.0, math.radians(0.5)
 _TOLD_TURN_RAD, _TOLD_TURN_SHARE = math.radians(1.0), 0.1
 # A witness is older than the gyro, or younger.
 _WITNESS_LATE_S = 0.03
 _FAST_MEMORY_S, _SLOW_MEMORY_S, _SCATTER_RAD = 8.0, 40.0, math.radians(0.1)
 # A filter that has just begun has the yaw of its first reading, and needs seconds to come from there.
 _BEGINS_RAD = math.radians(5.0)
-_FAST_RAD = np.radians([0.2, 0.4, 0.8, 1.6, 3.2, 6.4])
+_FAST_RAD = math.radians(0.8)
 _COVARIANCES, _MOST_SILENCES = 64, 32
 
 
@@ -71,13 +70,12 @@ class Witness:
     """Hold an attitude (N, 3, 3) that tells of the yaw, at the gyro's times, or only of the level.
 
     `constant_rad` is the standard deviation of its constant error, `slow_rad` of what wanders for minutes; it
-    tells nothing of the yaw where `constant_rad` is infinite. `level_rad` is that of its level's error.
+    tells nothing of the yaw where `constant_rad` is infinite.
     """
 
     rotation: FloatArray
     constant_rad: float
     slow_rad: float
-    level_rad: float = LEVEL_RAD
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,14 +89,6 @@ class Sensed:
     rate_radps: FloatArray
     force_mps2: FloatArray
     felt: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True)
-class Sizes:
-    """Hold what the recording itself makes likeliest: of a witness's errors, and of the unseen velocity."""
-
-    fast_rad: float = math.radians(0.8)
-    velocity_mps: float = 2.0
 
 
 class Smoother:
@@ -167,9 +157,9 @@ class Smoother:
         self._add_first(chain)
         slow = _SCATTER_RAD if self.witness is None else self.witness.slow_rad
         self._add_lasting(chain, _SLOW, slow, _SLOW_MEMORY_S)
-        level = LEVEL_RAD if self.witness is None else self.witness.level_rad
         for state in _LEVEL:
-            self._add_lasting(chain, state, level, _LEVEL_MEMORY_S)
+            self._add_lasting(chain, state, _LEVEL_RAD, _LEVEL_MEMORY_S)
+        self._add_lasting(chain, _FAST, _FAST_RAD, _FAST_MEMORY_S, _BEGINS_RAD)
         if self.seen is not None:
             self._add_velocity(chain, self.seen, trust)
         if self._told is not None and self.witness is not None:
@@ -177,29 +167,23 @@ class Smoother:
             self._add_witness(chain, at, self._told, self.witness, turned)
         return chain
 
-    def with_sizes(self, chain: Chain, sizes: Sizes) -> Chain:
-        """Return a chain with the equations whose size the recording makes likeliest."""
+    def bounded(self, chain: Chain, velocity_mps: float) -> Chain:
+        """Return a chain whose velocity, where nobody tells it, stays within a bound."""
+        if self.seen is not None:
+            return chain
         chain = chain.copy()
-        if self.seen is None:
-            news = min(1.0, self.news_s / _VELOCITY_MEMORY_S)
-            J = _blank(self.knots.size, 3)
-            J[:, :, _V] = np.eye(3)
-            none = np.zeros((self.knots.size, 3))
-            chain.add(slice(None), J, None, none, none + sizes.velocity_mps**-2.0, news)
-        self._add_lasting(chain, _FAST, sizes.fast_rad, _FAST_MEMORY_S, _BEGINS_RAD)
+        news = min(1.0, self.news_s / _VELOCITY_MEMORY_S)
+        J = _blank(self.knots.size, 3)
+        J[:, :, _V] = np.eye(3)
+        none = np.zeros((self.knots.size, 3))
+        chain.add(slice(None), J, None, none, none + velocity_mps**-2.0, news)
         return chain
 
-    def likeliest(self, chain: Chain, sizes: Sizes) -> Sizes:
-        """Choose the sizes that the recording makes likeliest, one after the other."""
-
-        def deviance(one: Sizes) -> float:
-            return self.with_sizes(chain, one).solve().deviance
-
-        if self.seen is None:
-            sizes = _lowest([replace(sizes, velocity_mps=v) for v in _VELOCITIES_MPS], deviance)
-        if self.witness is not None and math.isfinite(self.witness.constant_rad):
-            sizes = _lowest([replace(sizes, fast_rad=float(f)) for f in _FAST_RAD], deviance)
-        return sizes
+    def likeliest_bound(self, chain: Chain) -> float:
+        """Choose the bound of an unseen velocity that the recording makes likeliest, m/s."""
+        if self.seen is not None:
+            return USUAL_V_MPS
+        return min(_VELOCITIES_MPS, key=lambda v: self.bounded(chain, v).solve().deviance)
 
     def full_trust(self) -> FloatArray:
         """Return the weights of a receiver's velocities (K, 3) before anything is known of them."""
@@ -317,19 +301,6 @@ class Smoother:
         size = share * float(np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)))
         silent = np.where(self._is_silent, (size * self.step) ** 2, 0.0)
         return white_floor(values) ** 2 * each_s + walk**2, silent
-
-
-def _lowest(sizes: Sequence[Sizes], deviance: Callable[[Sizes], float]) -> Sizes:
-    """Return the likeliest of sizes in order, going down from the middle: there is one valley."""
-    at, known = len(sizes) // 2, dict[int, float]()
-    for step in (-1, 1):
-        while 0 <= at + step < len(sizes):
-            for one in {at, at + step} - known.keys():
-                known[one] = deviance(sizes[one])
-            if known[at + step] >= known[at]:
-                break
-            at += step
-    return sizes[at]
 
 
 def _blank(count: int, rows: int) -> FloatArray:

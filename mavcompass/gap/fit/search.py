@@ -7,7 +7,7 @@ again, until nothing changes. Sets are weighed by what they cost in the posterio
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,9 +18,7 @@ from mavcompass.gap.fit.hypothesis import Fit, Term, make_term
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.starts import (
     FEW_STEPS,
-    beside_known_age,
     facing,
-    in_place_of_each_other,
     polished,
     turn_alone,
     unbent,
@@ -35,8 +33,6 @@ _FAR_LIKELIER, _ALONE = 20.0, 2
 # Fits of one set that differ by less in their sum of squares are as good, or good enough to linearise beside.
 _AS_GOOD, _AS_GOOD_SHARE = 1.0, 0.01
 _HOPEFUL = 0.7
-# A search ends where so many times the noise are left and less than this share of it is explained.
-_FAR, _HARDLY = 4.0, 0.15
 # What leaves so many times the noise is not all.
 _UNEXPLAINED = 1.3
 
@@ -56,21 +52,10 @@ class Found:
 
 
 class Search:
-    """Search sets of effects on one problem.
+    """Search sets of effects on one problem; `kind` tells how the recording is known."""
 
-    `worthwhile` tells whether what a fit leaves could still hold an effect that may be named; the search
-    goes on only then. `kind` tells how the recording is known.
-    """
-
-    def __init__(
-        self,
-        problem: Problem,
-        effects: Iterable[Effect],
-        worthwhile: Callable[[Fit], bool] = lambda fit: True,
-        kind: Kind = "exact",
-    ) -> None:
+    def __init__(self, problem: Problem, effects: Iterable[Effect], kind: Kind = "exact") -> None:
         self.problem = problem
-        self.worthwhile = worthwhile
         self.criteria = Criteria(problem, kind)
         signals = problem.replay.signals
         self.terms = [
@@ -86,7 +71,7 @@ class Search:
 
     def on(self, problem: Problem) -> Search:
         """Return a search of the same terms on other rows or under another noise, nothing explored yet."""
-        other = Search(problem, (), self.worthwhile, self.criteria.kind)
+        other = Search(problem, (), self.criteria.kind)
         other.terms, other.criteria.temper = self.terms, self.criteria.temper
         return other
 
@@ -104,13 +89,8 @@ class Search:
     def run(self, most: int = MOST_EFFECTS, likely: Sequence[Fit] = ()) -> Found:
         """Search up to `most` effects, from the best of sets that are `likely` on."""
         null = self._null()
-        known = unbent(self.problem, null, curves=True).nuisance_thetas
-        untried = [term for term in self.terms if frozenset({term.effect.id}) not in self.explored]
-        late = beside_known_age(self.problem, untried, null, known)
-        self._remember([*likely, *late])
-        best = self._largest_needed(null, [*likely, *late], most)
-        if not (self.explored.keys() - {null.ids}) and not self._promising(null, most):
-            return self._found(null, best)
+        self._remember(likely)
+        best = self._largest_needed(null, likely, most)
         means = tuple(n.mean for n in self.problem.nuisances)
         turns = facing(self.problem, self.terms, Fit((), (), means, np.inf), null.sse)
         noise = 3 * len(self.problem.groups) * self.problem.count
@@ -133,8 +113,6 @@ class Search:
                 best = rival
             else:
                 self.criteria.temper = before
-        if self.hopeless(null, best):
-            return self._found(null, best)
         best = self._with_rivals(self.polished(best))
         other = self._beside_one(best)
         if other is not best:
@@ -142,40 +120,10 @@ class Search:
             best = min(best, other, key=self.criteria.score)
         return self._found(null, best)
 
-    def hopeless(self, null: Fit, best: Fit) -> bool:
-        """Tell whether a gap is far above the noise and hardly explained: to look further is vain."""
-        noise = 3 * len(self.problem.groups) * self.problem.count
-        far = null.sse > _FAR * noise
-        return far and null.sse - best.sse < _HARDLY * (null.sse - noise)
-
-    def _promising(self, null: Fit, most: int) -> bool:
-        """Tell whether a set could gain what it costs, linearised beside what is known; fit the likeliest.
-
-        What is bent hides what bends it: then anything could.
-        """
-        if not self.problem.straight(null):
-            return True
-        candidates = self._linearised(unbent(self.problem, null, curves=True), ())
-        ranked = likeliest_sets(candidates, self.criteria, most)
-        sets = [sets[0] for sets in ranked.values()]
-        if not sets:
-            return False
-        self._remember([self._fitted(candidates, sets[0], Fit((), (), (), np.inf), FEW_STEPS)])
-        nothing, *left = candidates.expected([(), *sets])
-        for chosen, after in zip(sets, left, strict=True):
-            parameters = sum(candidate.dimension for candidate in chosen)
-            if nothing - after > _HOPEFUL * self.criteria.cost(parameters, len(chosen)):
-                return True
-        return False
-
     def _found(self, null: Fit, best: Fit) -> Found:
         return Found(unbent(self.problem, null), best, self.explored)
 
     def _with_rivals(self, best: Fit) -> Fit:
-        late = in_place_of_each_other(self.problem, self.terms, best)
-        if late:
-            self._remember(late)
-            best = self.problem.refit(min([best, *late], key=self.criteria.score))
         self.explored[best.ids] = best
         self._remember(self._rivals(best))
         return best
@@ -265,7 +213,7 @@ class Search:
             better = self._largest_needed(smallest, [best, *fits], most)
             same = better.ids == best.ids and better.sse > best.sse - _AS_GOOD
             best = min(better, best, key=lambda f: f.sse) if same else better
-            if same or not self.worthwhile(best):
+            if same:
                 break
         return best
 

@@ -29,12 +29,9 @@ from mavcompass.gap.replay.noise import (
 from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.replay.nuisance import STATED, Prior, Trust
 from mavcompass.gap.tables import Kind
-from mavcompass.simulation.effects.effect import Group
 
 _LEAST = {"mag": 1e-3, "acc": 1e-5, "gyro": 1e-6}
 _STATED_MGAUSS, _LEAST_IN_FLIGHT_MGAUSS = 0.3, 0.8
-# A fit that leaves less of the noise than this tells nothing of it.
-_LEAST_LEFT = 0.2
 _REFERENCE_DOUBT_RAD = {
     "columns": math.radians(0.2),
     "fused": math.radians(0.4),
@@ -98,8 +95,8 @@ def first_noise(replay: Replay) -> Noise:
 
 
 def measured_noise(problem: Problem, fit: Fit) -> Noise:
-    """Estimate the noise from what a fit leaves, which is less than there was by what it has used up."""
-    predicted, left = problem.predict(fit), _left_by(problem, fit)
+    """Estimate the noise from what a fit leaves."""
+    predicted = problem.predict(fit)
     replay = problem.replay
     noise: Noise = {}
     for group in replay.groups:
@@ -107,33 +104,13 @@ def measured_noise(problem: Problem, fit: Fit) -> Noise:
             noise[group] = replay.doubtful[group]
             continue
         error = group_values(replay.measured, group) - group_values(predicted, group)
-        found = estimate_noise(
+        noise[group] = estimate_noise(
             error,
             replay.valid,
             _least_sigma(replay, group),
             field_channels(replay) if group == "mag" else None,
         )
-        share = left[group]
-        if found.channels is not None and problem.noise[group].channels is None:
-            share = np.full(3, float(share.mean()))
-        noise[group] = replace(found, sigma=found.sigma / np.sqrt(share), rms=found.rms / np.sqrt(share))
     return noise
-
-
-def _left_by(problem: Problem, fit: Fit) -> dict[Group, FloatArray]:
-    """Return the mean square that a fit leaves of noise of variance one, per sensor and channel, (3,).
-
-    Of readings with the derivatives J and a prior of precision P a fit leaves I - H with the leverages
-    H = J (J^T J + P)^-1 J^T (Hoaglin and Welsch, The American Statistician 32, 1978): a short baseline leaves
-    little of its own noise beside an attitude of many curves.
-    """
-    count = fit.covariance.shape[0]
-    if not count:
-        return {group: np.ones(3) for group in problem.groups}
-    J = problem.jacobian(fit)
-    leverage = np.einsum("ij,ij->i", J @ fit.covariance, J).reshape(len(problem.groups), -1, 3)
-    left = np.maximum(1.0 - leverage.mean(axis=1), _LEAST_LEFT)
-    return dict(zip(problem.groups, left, strict=True))
 
 
 def _least_sigma(replay: Replay, group: str) -> float:

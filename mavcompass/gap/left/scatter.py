@@ -21,8 +21,6 @@ from mavcompass.simulation.effects import detected_by, get
 _SCATTER_TRIALS = 50
 # Without a baseline, times may scatter by this much and be healthy.
 _DOUBTFUL_JITTER_S = 0.02
-# Two estimates of the same noise agree within so many sigmas.
-_AGREES = 2.0
 # What late readings scatter must be this share of the noise: where the field changes fast at one place only,
 # the model's own error there looks late.
 _LEAST_LATE = 0.1
@@ -108,27 +106,11 @@ def find_scatter(
         left2 = float(np.mean(left[rows] ** 2))
         # Scatter between neighbours is scatter of the readings only if it shows in what is left.
         if width > 1 or left2 - floor.field_rms_mgauss**2 > 0.5 * excess_mgauss2:
-            candidates.append(_told_twice(problem.replay, floor, excess_mgauss2, left2, error.size))
+            size = math.sqrt(excess_mgauss2)
+            doubt = 0.5 * quiet_doubt(problem.replay.readings) * size
+            candidates.append(Scatter(more, size, float(error.size), doubt))
     candidates = [c for c in candidates if c.gain > least_gain(1, _SCATTER_TRIALS)]
     return max(candidates, key=lambda c: c.gain) if candidates else None
-
-
-def _told_twice(
-    replay: Replay, floor: Floor, excess_mgauss2: float, left_mgauss2: float, count: int
-) -> Scatter:
-    """Return white noise that neighbours tell by a few quiet readings, and what is left of all by more.
-
-    What is left holds what the floor holds, about half of which is not known of this recording. Rows that
-    are means hold too little of the noise, and too much of what is slow.
-    """
-    doubt, size2, floor2 = quiet_doubt(replay.readings), excess_mgauss2, floor.field_rms_mgauss**2
-    if replay.averaged == 1:
-        apart = (left_mgauss2 - floor2) / excess_mgauss2 - 1.0
-        agrees = abs(apart) <= _AGREES * doubt
-        size2 *= 1.0 + (apart if agrees else math.copysign(_AGREES * doubt, apart))
-        by_all = math.hypot(math.sqrt(2.0 / count), 0.5 * floor2 / size2)
-        doubt = min(doubt, by_all) if agrees else max(doubt, 0.5 * abs(apart))
-    return Scatter(detected_by("scatter").id, math.sqrt(size2), float(count), 0.5 * doubt * math.sqrt(size2))
 
 
 def _even_gain(y: FloatArray) -> tuple[float, float]:

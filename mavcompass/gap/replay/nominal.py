@@ -41,7 +41,6 @@ from mavcompass.gap.replay.rows import averaged, compass_rows, middles, shared_p
 from mavcompass.gap.replay.whereabouts import (
     UNKNOWN_SIGMA_MGAUSS,
     goes_about,
-    place_scatter_m,
     position_of,
     present_in,
     world_field,
@@ -85,7 +84,6 @@ class Replay:
         readings: every reading, of which the rows are means; averaged: of how many neighbours each;
             late_s: by how much the rows are earlier than their readings came.
         place: latitude, longitude in degrees, altitude in metres; None where unknown.
-        place_scatter_m: how far each place is off by itself, (3,).
         doubtful: sensors that the simulation does not explain in detail where nothing is wrong, with the
             noise that makes up for it: they speak for causes, but what they leave is no unknown cause.
         loads_every_s: how often the loads were recorded.
@@ -111,7 +109,6 @@ class Replay:
     averaged: int = 1
     late_s: float = 0.0
     place: tuple[float, float, float] | None = None
-    place_scatter_m: FloatArray = field(default_factory=lambda: np.zeros(3))
     doubtful: Mapping[Group, SensorNoise] = field(default_factory=dict)
     loads_every_s: float = 0.0
 
@@ -200,7 +197,7 @@ def replay(
     measured = Reading(raw, acc, gyro)
     nominal = ideal(stimulus)
     independent = reference.kind == "columns"
-    about = goes_about(position, track, reference)
+    about = goes_about(position, reference)
     present = present_in(stimulus, reference, about, reference.known & usable)
     if not present & {"turning", "tilt"}:
         # A constant offset in body axes is then a constant field: its size can be anything.
@@ -242,7 +239,6 @@ def replay(
         averaged=rows.width,
         late_s=told_s,
         place=_place(track),
-        place_scatter_m=place_scatter_m(position),
         loads_every_s=_every_s(track.current_a, track.throttle),
     )
 

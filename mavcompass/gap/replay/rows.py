@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mavcompass.correction import IDENTITY
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
-from mavcompass.gap.replay.clock import reading_times, times_in_step
+from mavcompass.gap.replay.clock import reading_times
 from mavcompass.gap.replay.integrity import Trace, coarse_step, inspect
 from mavcompass.gap.replay.nuisance import AGE_SIGMA_S, USUAL_AGE_S
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
@@ -88,13 +88,9 @@ def compass_rows(
                 fresh = np.ones_like(fresh)
             keep, raw = keep[fresh], raw[fresh]
         time_s = compass.time_s[keep]
-        if step == 0.0 and fresh.any():
-            in_step = times_in_step(sent_s, fresh)
-            if in_step is not None:
-                time_s = in_step
-            elif fresh.sum() < _BROUGHT_NEW * fresh.size:
-                lost = np.diff(compass.time_s, prepend=compass.time_s[0]) > _LOST * message_s
-                time_s = reading_times(time_s, message_s, lost[keep])
+        if step == 0.0 and fresh.sum() < _BROUGHT_NEW * fresh.size:
+            lost = np.diff(compass.time_s, prepend=compass.time_s[0]) > _LOST * message_s
+            time_s = reading_times(time_s, message_s, lost[keep])
     # A sensor that stays brings little that is new, which is a finding and no lack of readings.
     if time_s.size < (FEWEST_NEW if reported.shape[0] >= FEWEST_ROWS else FEWEST_ROWS):
         raise BadRecording(

@@ -6,10 +6,8 @@ What is left is judged under that noise; otherwise each of these would look like
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from statistics import NormalDist
 
 import numpy as np
@@ -19,15 +17,14 @@ from mavcompass.gap.fit.hypothesis import Fit, Mask, Term
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.search import Search
 from mavcompass.gap.fit.starts import pruned
-from mavcompass.gap.left.floor import Floor, kind_of, measured_noise, rms, widened
+from mavcompass.gap.left.floor import Floor, kind_of, measured_noise, widened
 from mavcompass.gap.left.scatter import Scatter, find_scatter, noise_with
-from mavcompass.gap.replay.noise import Noise, group_values
+from mavcompass.gap.replay.noise import Noise
 from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.selection.posterior import Identified, posterior_of
-from mavcompass.gap.selection.split import Split, probe, with_parts, with_windows
+from mavcompass.gap.selection.split import Split, probe, with_windows
 from mavcompass.gap.selection.transient import (
     moments,
-    near_places,
     switched,
     switches,
     told,
@@ -35,7 +32,7 @@ from mavcompass.gap.selection.transient import (
     with_moments,
 )
 from mavcompass.gap.traces.traces import Traces
-from mavcompass.simulation.effects.effect import LIMIT, PLACED, Effect, Group
+from mavcompass.simulation.effects.effect import LIMIT, Effect
 from mavcompass.simulation.physics.signals import Reading
 
 _LEAST_MGAUSS = 0.3
@@ -44,14 +41,8 @@ _PASSES = 2
 # What is switched is told better once it is told: so often, while it takes this share of the rows more.
 _CALMINGS, _FEW = 3, 0.01
 _CLOSINGS_IN = 6
-# Times the floor from which a single row stands out.
-_LOUD = 3.0
-# The share of rows that a passing disturbance takes at most.
-_PASSING = 0.25
 # What leaves no more than this many times as much is no worse.
 _NO_WORSE = 1.05
-# What healthy sensors may be off by, in mG, m/s^2 and rad/s: a search for less ends.
-_HEALTHY: dict[Group, float] = {"mag": 1.0, "acc": 0.1, "gyro": 0.004}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,20 +130,17 @@ def identify(
     """
     result, own = _searched(replay, floor, split, effects, 1 if noise_known else _PASSES)
     none: Mask = np.zeros(replay.time_s.size, dtype=np.bool_)
-    changing, switching, near, known = none, none, none, none
+    changing, switching, known = none, none, none
     for _ in range(_CALMINGS):
-        if result.search.hopeless(result.posterior.nothing.fit, result.posterior.best.fit):
-            break
         when = moments(result.fit)
         changing = changing | transients(result.problem, result.fit, when)
         switching = switching | switched(result.problem, result.fit)
-        near = near | near_places(result.problem, result.fit)
-        aside = changing | switching | near
+        aside = changing | switching
         again = bool(known.any())
         if aside.sum() - known.sum() <= (_FEW * aside.size if again else 0):
             break
         known = aside
-        notes = (*replay.notes, *told(replay, changing, switching, near))
+        notes = (*replay.notes, *told(replay, changing, switching))
         fewer = replace(replay, valid=replay.valid & ~aside, notes=notes)
         calm = replace(split, train=split.train & ~aside, test=split.test & ~aside)
         start = floor
@@ -161,7 +149,7 @@ def identify(
             start = widened(floor, kept, kept.refit(result.fit))
         calmer, settled = _searched(fewer, start, calm, effects, 1, (result.fit.terms, result.fit.thetas))
         # Under a noise that is known both can be compared.
-        still = not (moments(calmer.fit) or switches(calmer.fit) or _placed(calmer.fit))
+        still = not (moments(calmer.fit) or switches(calmer.fit))
         most = _each(result) * (_NO_WORSE if again else 1.0)
         if still or (floor.measured and _each(calmer) > most):
             break
@@ -188,11 +176,10 @@ def _searched(
     kind = kind_of(replay, floor)
     whole = Problem(replay, floor.noise, split.train | split.test, floor.prior)
     nothing = whole.null()
-    split = _parted(whole, nothing, floor, split)
     for turn in range(passes):
         problem = Problem(replay, floor.noise, split.train, floor.prior)
         problem.null(nothing)
-        search = Search(problem, effects, partial(_worthwhile, problem, floor), kind)
+        search = Search(problem, effects, kind)
         tried = [problem.fit(*likely, nothing.nuisance_thetas)] if likely else ()
         found = search.run(likely=tried)
         posterior = posterior_of(search, found)
@@ -205,42 +192,6 @@ def _searched(
     result = _moments_in_training(result)
     result.search.forget()
     return replace(result, fit=pruned(result.problem, result.fit)), floor
-
-
-def _worthwhile(problem: Problem, floor: Floor, fit: Fit) -> bool:
-    """Tell whether what a fit leaves above the noise could hold what healthy sensors are not off by.
-
-    What bends that which is known of vehicle and place has left it there.
-    """
-    if floor.representative or not problem.straight(fit):
-        return True
-    predicted = problem.predict(fit)
-    for group in problem.groups:
-        error = group_values(problem.replay.measured, group) - group_values(predicted, group)
-        if rms(error[problem.index]) ** 2 - rms(problem.noise[group].rms) ** 2 > _HEALTHY[group] ** 2:
-            return True
-    return False
-
-
-def _placed(fit: Fit) -> bool:
-    """Tell whether a set holds something that belongs to a place."""
-    return any(term.effect.needs & PLACED for term in fit.terms)
-
-
-def _parted(problem: Problem, nothing: Fit, floor: Floor, split: Split) -> Split:
-    """Let what disturbs for a short while, and nothing that is known explains, be fitted and judged alike.
-
-    A gap that is there all the time may swing with the vehicle's turns: its blocks are long enough.
-    """
-    replay, rows = problem.replay, split.train | split.test
-    # A gap that bends what is known is loud everywhere: as it is known, it may be loud for a while only.
-    known = Fit((), (), tuple(n.mean for n in problem.nuisances), math.inf)
-    for fit in (nothing, known):
-        left = replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
-        loud = rows & (np.sqrt(np.mean(left**2, axis=1)) > _LOUD * floor.field_rms_mgauss)
-        if 0 < loud.sum() < _PASSING * rows.sum():
-            return with_parts(split, replay.time_s, loud)
-    return split
 
 
 def _moments_in_training(candidate: Identified) -> Identified:

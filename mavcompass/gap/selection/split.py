@@ -14,7 +14,6 @@ GUARD_S = 0.5
 WINDOW_S = 0.3
 _HELD_OUT_OF = 4
 _FEWEST_BLOCKS = 12
-_PARTS = 8
 _SEED = 20260101
 
 Mask = NDArray[np.bool_]
@@ -52,30 +51,6 @@ def split_blocks(time_s: FloatArray, valid: Mask) -> Split:
         if place < count:
             held[place] = True
     return _masks(time_s, valid, block, held, min(GUARD_S, length / 5.0))
-
-
-def with_parts(split: Split, time_s: FloatArray, loud: Mask) -> Split:
-    """Cut each short stretch of loud rows (N,) in parts, and hold one of every four out.
-
-    What is over before four blocks have passed may lie in held-out blocks alone, where nothing could explain
-    it, or in the others alone, where nothing would judge it.
-    """
-    length = _block_s(time_s)
-    at = np.flatnonzero(loud)
-    block, held = split.block.copy(), list(split.held)
-    train, test = split.train.copy(), split.test.copy()
-    for run in np.split(at, np.flatnonzero(np.diff(time_s[at]) > length / _PARTS) + 1):
-        if not run.size or time_s[run[-1]] - time_s[run[0]] > _HELD_OUT_OF * length:
-            continue
-        rows = np.arange(run[0], run[-1] + 1)
-        parts = min(_PARTS, rows.size)
-        part = np.arange(rows.size) * parts // rows.size
-        out = part % _HELD_OUT_OF == _HELD_OUT_OF // 2
-        block[rows] = len(held) + part
-        held += [p % _HELD_OUT_OF == _HELD_OUT_OF // 2 for p in range(parts)]
-        used = (split.train | split.test)[rows]
-        train[rows], test[rows] = used & ~out, used & out
-    return Split(block, np.array(held), train, test)
 
 
 def with_windows(split: Split, time_s: FloatArray, valid: Mask, moments_s: list[float]) -> Split:

@@ -9,11 +9,11 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude.scatter import MEDIAN_OF_SQUARES
-from mavcompass.gap.fit.hypothesis import Fit, Mask, Term
+from mavcompass.gap.fit.hypothesis import Fit, Mask
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.replay.nuisance import TELEMETRY_AGE
-from mavcompass.simulation.effects.effect import LAG, MOMENTS, NEVER_S, PLACED, SMOOTHING
+from mavcompass.simulation.effects.effect import LAG, MOMENTS, NEVER_S, SMOOTHING
 
 _BIN_S = 0.25
 _LONGEST_S = 3.0
@@ -26,8 +26,6 @@ _SETTLED = 3.0
 # What is switched shows in single rows from so many deviations on. A row is off by this share of it, by
 # little more than all, and across it by less than half of that; a tenth of the rows at most.
 _SEEN_APART, _PART, _ALL, _ASIDE, _BY_CHANCE = 6.0, 0.25, 1.2, 0.5, 0.1
-# What scattering places make counts from this share of the noise on; so many rows are set aside at most.
-_COUNTS, _MOST_NEAR = 0.3, 0.3
 # The median of a mean of three squares of standard normal values.
 _MEDIAN = 0.789
 
@@ -124,32 +122,6 @@ def _other_way(problem: Problem, fit: Fit, field_mgauss: FloatArray, own: FloatA
     return rows if rows[clear].mean() < _BY_CHANCE else np.zeros_like(rows)
 
 
-def near_places(problem: Problem, fit: Fit) -> Mask:
-    """Tell which rows (N,) lie so near to something at a place that the places' own scatter counts.
-
-    A receiver's places scatter by centimetres, and the field of a magnet close by changes by as much as the
-    noise over these. Where a vehicle is never far away none is told.
-    """
-    replay = problem.replay
-    rows: Mask = np.zeros(replay.time_s.size, dtype=np.bool_)
-    for term, theta in zip(fit.terms, fit.thetas, strict=True):
-        if not (term.effect.needs & PLACED) or not replay.place_scatter_m.any():
-            continue
-        square = np.zeros(rows.size)
-        for off_m in np.diag(replay.place_scatter_m):
-            one, other = (_field_elsewhere(replay, term, theta, side * off_m) for side in (1.0, -1.0))
-            square += np.sum((one - other) ** 2, axis=1) / 4.0
-        rows |= np.sqrt(np.nan_to_num(square) / 3.0) > _COUNTS * float(problem.sigma_mgauss.mean())
-    return rows if rows[problem.usable].mean() < _MOST_NEAR else np.zeros_like(rows)
-
-
-def _field_elsewhere(replay: Replay, term: Term, theta: FloatArray, off_m: FloatArray) -> FloatArray:
-    """Return what an effect makes of the readings (N, 3) if all places are off by as much, (3,)."""
-    stimulus = replay.signals.stimulus
-    moved = replace(stimulus, position_ned_m=stimulus.position_ned_m + off_m)
-    return term.effect.forward(replace(replay.signals, stimulus=moved), theta, {}, None).reading.mag_mgauss
-
-
 def between_rows(problem: Problem, moment_s: float) -> tuple[float, float]:
     """Return the fitted rows before and after a moment: anywhere between them it fits as well."""
     time = problem.replay.time_s[problem.index]
@@ -158,23 +130,19 @@ def between_rows(problem: Problem, moment_s: float) -> tuple[float, float]:
     return low, float(time[place]) if place < time.size else moment_s
 
 
-def told(replay: Replay, aside: Mask, switching: Mask, near: Mask) -> tuple[str, ...]:
-    """Say in words which stretches were set aside because something was changing, switched, or too near."""
+def told(replay: Replay, aside: Mask, switching: Mask) -> tuple[str, ...]:
+    """Say in words which stretches were set aside because something was changing or switched."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], aside.astype(np.int8), [0]])))
     often = (
         f"While something is switched, a reading is of both: {switching.sum()} of {switching.size} were not"
         " fitted.",
-    )
-    close = (
-        f"So near to something at a place that a step aside counts: {near.sum()} of {near.size} readings were"
-        " not fitted.",
     )
     fast = tuple(
         f"From {replay.time_s[first]:.1f} to {replay.time_s[end - 1]:.1f} s something changes faster than the"
         " model can follow: these readings were not fitted."
         for first, end in zip(edges[::2], edges[1::2], strict=True)
     )
-    return (often if switching.any() else ()) + (close if near.any() else ()) + fast
+    return (often if switching.any() else ()) + fast
 
 
 def with_moments(problem: Problem, fit: Fit, seen_s: Sequence[float]) -> Fit:

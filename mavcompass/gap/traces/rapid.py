@@ -1,8 +1,7 @@
 """Effects that change from reading to reading: an offset that changes sign, a line of alternating current.
 
 Averaged rows hide them. They are looked for in every reading, beside the slow rest of what the nominal
-simulation leaves, and taken out before anything is averaged. A line may be of the time, or of something that
-turns with the way of a vehicle that drives.
+simulation leaves, and taken out before anything is averaged.
 """
 
 from __future__ import annotations
@@ -13,14 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.attitude.kinematics import integral
 from mavcompass.gap.replay.integrity import Readings
-from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.replay.rows import averaged
 from mavcompass.gap.traces.scattered import excess_variance, quiet_variance
 from mavcompass.simulation.effects import detected_by
 from mavcompass.simulation.effects.effect import FREQUENCY, Detector
-from mavcompass.simulation.physics.signals import Stimulus
 
 # Of the fast excess over the baseline's an effect must hold so much; less beside noise.
 _SHARE, _BESIDE_NOISE = 0.7, 0.25
@@ -42,13 +38,6 @@ _SKIRTS, _ALONE = 10.0, 0.3
 # How much nearer than its width in the spectrum the frequency of a line is sought.
 _STEPS, _ROUNDS = 8, 3
 _WAVES = (*(f"{wave}_{axis}" for wave in ("sin", "cos") for axis in "xyz"), FREQUENCY)
-# A vehicle that drives, and the share of its way that may be unknown.
-_DRIVING_MPS, _UNKNOWN_SHARE = 0.3, 0.1
-# Stretches over which a receiver's way is good to a turn; what turns on a vehicle has a circumference of so
-# many metres, and as many readings as a line needs.
-_STRETCH_S, _CIRCUMFERENCES_M, _FEWEST = 8.0, (0.2, 3.0), 20
-# Circumferences beside that of the mean speed, as shares of it, and how well the way must explain a line.
-_BESIDE, _AS_WELL = np.linspace(0.85, 1.15, 31), 0.95
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -257,55 +246,3 @@ def _rapid(
         dict(zip(names, sigma.tolist(), strict=True)),
         np.asarray(change),
     )
-
-
-def follows_way(replay: Replay, frequency_hz: float, taken_mgauss: FloatArray | float = 0.0) -> bool:
-    """Tell whether a line goes with the vehicle's way no worse than with the time.
-
-    However the vehicle drives: its power by the time and by the way, over some seconds each, where no error
-    of a receiver's way counts. A sampled line may be one of a higher frequency. `taken_mgauss` (M, 3) is what
-    was taken out of the readings.
-    """
-    stimulus, readings = replay.signals.stimulus, replay.readings
-    speed = _speed_mps(stimulus)
-    if speed is None:
-        return False
-    time, field = readings.time_s, readings.error_mgauss + taken_mgauss
-    way = integral(time, np.interp(time, stimulus.time_s, speed)[:, None])[:, 0]
-    sampling_hz, mean_mps = 1.0 / readings.period_s, float(speed.mean())
-    may_be_hz = (frequency_hz, sampling_hz - frequency_hz, sampling_hz + frequency_hz)
-    turns_per_m = np.outer(may_be_hz, _BESIDE).ravel() / mean_mps
-    low, high = _CIRCUMFERENCES_M
-    turns_per_m = turns_per_m[(turns_per_m * low < 1.0) & (turns_per_m * high > 1.0)]
-    by_time = _power(time, field, frequency_hz * time[:, None])
-    by_way = _power(time, field, way[:, None] * turns_per_m)
-    return bool(by_way.max(initial=0.0) > _AS_WELL * by_time[0])
-
-
-def _power(time_s: FloatArray, field_mgauss: FloatArray, turns: FloatArray) -> FloatArray:
-    """Return the power of a field (M, 3) by phases (M, k) in turns, summed over stretches, (k,)."""
-    stretch = np.floor((time_s - time_s[0]) / _STRETCH_S)
-    total = np.zeros(turns.shape[1])
-    for one in np.unique(stretch):
-        rows = stretch == one
-        if rows.sum() < _FEWEST:
-            continue
-        since = time_s[rows] - time_s[rows].mean()
-        around = field_mgauss[rows] - field_mgauss[rows].mean(axis=0)
-        around -= np.outer(since, since @ around / (since @ since))
-        window = np.hanning(rows.sum() + 2)[1:-1, None]
-        waves = np.exp(-2j * np.pi * turns[rows])
-        total += np.sum(np.abs(waves.T @ (window * around)) ** 2, axis=1)
-    return total
-
-
-def _speed_mps(stimulus: Stimulus) -> FloatArray | None:
-    """Return the level speed (N,) of a vehicle that drives; None where it does not, or nobody tells."""
-    time, velocity = stimulus.time_s, stimulus.velocity_ned_mps
-    if not np.isfinite(velocity).any():
-        velocity = np.gradient(stimulus.position_ned_m, time, axis=0)
-    speed = np.linalg.norm(velocity[:, :2], axis=1)
-    known = np.isfinite(speed)
-    if known.mean() < 1.0 - _UNKNOWN_SHARE or float(speed[known].mean()) < _DRIVING_MPS:
-        return None
-    return np.asarray(np.interp(time, time[known], speed[known]))

@@ -10,7 +10,7 @@ from mavcompass.gap.answer.decision import Findings, verdict
 from mavcompass.gap.result import Verdict
 from mavcompass.gap.tables import Levels, Outcome
 
-LEVELS = Levels(gain=0.01, fit=0.02, sure=0.9)
+LEVELS = Levels(gain=0.01, fit=0.02, sure=0.9, above=1.3, held=0.9, coarsest_deg=15.0)
 NOTHING: dict[Outcome, float] = {"whole": 0.25, "part": 0.25, "other": 0.25, "unknown": 0.25}
 SILENT = Findings(False, False, True, 1.0, 0.5, NOTHING, shared=False, above=False, testable=True)
 

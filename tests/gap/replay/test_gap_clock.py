@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from mavcompass.gap.replay.clock import reading_times, times_in_step
+from mavcompass.gap.replay.clock import reading_times
 
 
 def _brought(period_s: float, message_s: float, phase_s: float, length_s: float = 90.0) -> tuple:
@@ -76,55 +76,3 @@ def test_messages_as_often_as_readings_tell_no_clock_but_their_own() -> None:
     # A sensor that stays now and then brings something new in some of them.
     new = came[rng.random(came.size) > 0.3]
     assert np.array_equal(reading_times(new, 0.1, np.zeros(new.size, dtype=np.bool_)), new)
-
-
-@pytest.mark.parametrize("each", [1, 2])
-@pytest.mark.parametrize("lost", [0.0, 0.03])
-def test_messages_that_are_sent_with_the_tick_tell_which_reading_they_bring(each: int, lost: float) -> None:
-    """They come a millisecond before it or after it: their readings are a whole period old, or fresh."""
-    rng, period = np.random.default_rng([each, 3]), 0.1
-    sent = np.arange(200.0 * each) * period / each + 0.7 + np.abs(rng.normal(0.0, 8e-4, 200 * each))
-    sent = sent[rng.random(sent.size) >= lost]
-    tick = np.floor((sent - 0.7005) / period)
-    new = np.diff(tick, prepend=-1.0) > 0.0
-    taken = 0.7005 + period * tick[new]
-    read = times_in_step(sent, new)
-    assert read is not None
-    age = read - taken
-    assert (
-        np.median(np.abs(age - np.median(age))) < 1e-3 and np.mean(np.abs(age - np.median(age)) > 5e-3) < 0.04
-    )
-    assert (sent[new] - taken).std() > 0.02
-
-
-def test_messages_that_drift_away_from_the_tick_are_put_right_all_the_same() -> None:
-    """At first half of them bring an old reading, later most: the age is one of all pieces together."""
-    rng, period = np.random.default_rng(9), 0.1
-    sent = np.arange(1150.0) * period + rng.normal(0.0, 1e-3, 1150)
-    sent += np.where(np.arange(1150) < 575, 0.0, -0.0018)
-    tick = np.floor(sent / period)
-    new = np.diff(tick, prepend=-2.0) > 0.0
-    assert new[600:].mean() > 0.95
-    read = times_in_step(sent, new)
-    assert read is not None
-    age = read - period * tick[new]
-    assert np.median(np.abs(age - np.median(age))) < 1e-3
-    assert abs(np.median(age[:200]) - np.median(age[-200:])) < 2e-3
-
-
-def test_one_or_two_repeats_tell_no_tick() -> None:
-    rng = np.random.default_rng(10)
-    sent = np.arange(0.0, 50.0, 0.1) + 0.001 * rng.standard_normal(500)
-    new = np.ones(500, dtype=np.bool_)
-    new[[100, 400]] = False
-    assert times_in_step(sent, new) is None
-
-
-def test_readings_of_a_sensor_that_stays_keep_no_step() -> None:
-    rng = np.random.default_rng(8)
-    sent = np.arange(0.0, 200.0, 0.1) + 0.001 * rng.standard_normal(2000)
-    assert times_in_step(sent, rng.random(2000) > 0.3) is None
-    assert times_in_step(sent, np.ones(2000, dtype=np.bool_)) is None
-    # Nor do readings of another clock.
-    messages = np.arange(0.0, 90.0, 0.0672)
-    assert times_in_step(messages, np.diff(np.floor(messages / 0.1), prepend=-1.0) > 0.0) is None

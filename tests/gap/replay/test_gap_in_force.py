@@ -236,7 +236,8 @@ def test_derivatives_are_finite_differences_through_the_whole_chain(
                 ends.append(-problem.residual(reading))
             exact = (ends[0] - ends[1]) / (2.0 * h)
             off = float(np.linalg.norm(columns[:, at] - exact))
-            assert off < 2e-3 * max(float(np.linalg.norm(exact)), 1e-6), (effect.id, j)
+            # What is late is interpolated, and a vehicle turns a little between two rows.
+            assert off < 4e-3 * max(float(np.linalg.norm(exact)), 1e-6), (effect.id, j)
             at += 1
     assert at == columns.shape[1]
     assert problem.nuisances[1].effect.id == REFERENCE_YAW and math.isfinite(float(columns.sum()))

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavcompass.gap import diagnose_gap
-from mavcompass.gap.selection.split import probe, split_blocks, with_parts, with_windows
+from mavcompass.gap.selection.split import probe, split_blocks, with_windows
 from mavcompass.gap.trial.cases import Recipe, make_track
 from mavcompass.simulation import effects
 from mavcompass.track import Series
@@ -42,19 +42,6 @@ def test_narrow_window_brings_a_change_between_training_rows() -> None:
         narrowed = with_windows(narrowed, t, valid, [middle])
     assert probe(narrowed, t, moment) is None and not (narrowed.train & narrowed.test).any()
     assert narrowed.test.sum() > 0.8 * split.test.sum()
-
-
-@pytest.mark.parametrize("begins_s", [12.0, 17.0, 61.0])
-def test_what_passes_within_seconds_is_fitted_and_held_out(begins_s: float) -> None:
-    t = np.arange(0.0, 120.0, 0.1)
-    split = split_blocks(t, np.ones(t.size, dtype=bool))
-    loud = (t >= begins_s) & (t < begins_s + 3.0)
-    parted = with_parts(split, t, loud)
-    assert 0 < parted.test[loud].sum() < parted.train[loud].sum() and not (parted.train & parted.test).any()
-    for one, other in ((split, parted), (parted, split)):
-        np.testing.assert_array_equal(one.train[~loud], other.train[~loud])
-    lasting = with_parts(split, t, t < 60.0)
-    np.testing.assert_array_equal(lasting.test, split.test)
 
 
 def test_step_by_hand_keeps_its_size() -> None:

@@ -16,7 +16,7 @@ from mavcompass.gap.fit.hypothesis import Fit, Term
 from mavcompass.gap.replay.noise import white
 from mavcompass.gap.replay.nuisance import AGE, Nuisance
 from mavcompass.gap.selection import identification, transient
-from mavcompass.gap.selection.split import Split, probe, split_blocks, with_parts, with_windows
+from mavcompass.gap.selection.split import Split, probe, split_blocks, with_windows
 from mavcompass.simulation.effects import registry
 from mavcompass.simulation.effects.effect import NEVER_S
 
@@ -183,12 +183,12 @@ def test_what_was_set_aside_is_told_stretch_by_stretch() -> None:
     replay: Any = SimpleNamespace(time_s=TIME)
     rows = ((TIME > 1.99) & (TIME < 3.01)) | (TIME > 18.99)
     never = 0 * rows == 1
-    first, second = transient.told(replay, rows, never, never)
+    first, second = transient.told(replay, rows, never)
     assert first.startswith("From 2.0 to 3.0 s something changes faster") and second.startswith(
         "From 19.0 to 20.0"
     )
-    assert transient.told(replay, never, never, never) == ()
-    (often,) = transient.told(replay, never, rows, never)
+    assert transient.told(replay, never, never) == ()
+    (often,) = transient.told(replay, never, rows)
     assert often.startswith("While something is switched") and f" {rows.sum()} of 400 " in often
 
 
@@ -218,29 +218,6 @@ def test_a_guard_lies_beside_held_out_blocks() -> None:
     some = np.arange(time.size) % 2 == 0
     half = split_blocks(time, some)
     assert not (half.train | half.test)[~some].any() and half.test.sum() == 0.5 * split.test.sum()
-
-
-def test_a_loud_stretch_is_cut_in_eight_parts_of_which_two_are_held_out() -> None:
-    time, split = whole(400.0)
-    loud = (time > 101.95) & (time < 118.0)
-    parted = with_parts(split, time, loud)
-    rows = np.flatnonzero(loud)
-    assert parted.held.size == split.held.size + 8
-    assert np.bincount(parted.block[rows])[-8:].tolist() == [rows.size // 8] * 8
-    assert parted.held[-8:].tolist() == [False, False, True, False, False, False, True, False]
-    used = split.train | split.test
-    assert ((parted.train | parted.test) == used).all()
-    assert parted.test[rows].sum() == pytest.approx(0.25 * used[rows].sum(), abs=12)
-    # Twenty seconds at most; what pauses for more than a part's length is two stretches.
-    assert with_parts(split, time, (time > 101.95) & (time < 121.9)).held.size == split.held.size + 8
-    assert with_parts(split, time, (time > 101.95) & (time < 122.2)).held.size == split.held.size
-    twice = loud & ((time < 110.0) | (time > 110.7))
-    assert with_parts(split, time, twice).held.size == split.held.size + 16
-    once = loud & ((time < 110.0) | (time > 110.35))
-    assert with_parts(split, time, once).held.size == split.held.size + 8
-    few = np.zeros(time.size, dtype=np.bool_)
-    few[1500:1503] = True
-    assert with_parts(split, time, few).held.size == split.held.size + 3
 
 
 def test_a_window_brings_training_rows_and_keeps_its_distance() -> None:

@@ -16,7 +16,6 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
 from mavcompass.gap.diagnose import diagnose_gap
-from mavcompass.gap.left.scatter import _told_twice
 from mavcompass.gap.replay.integrity import Readings, Trace, coarse_step, inspect
 from mavcompass.gap.replay.nominal import replay
 from mavcompass.gap.traces.rapid import find_rapid
@@ -446,24 +445,6 @@ def test_the_doubt_of_the_quiet_scatter_is_what_it_scatters_by() -> None:
     doubt = quiet_doubt(told[0])
     assert squares.std() / squares.mean() == pytest.approx(doubt, rel=0.3)
     assert squares.mean() == pytest.approx(36.0, rel=3.0 * doubt / math.sqrt(60.0) + 0.02)
-
-
-@pytest.mark.parametrize(("more", "averaged"), [(0.0, 1), (1.5, 1), (4.0, 1), (-1.5, 1), (1.5, 3)])
-def test_noise_is_told_by_quiet_readings_and_by_what_is_left_of_all(more: float, averaged: int) -> None:
-    """Where the two agree all readings tell it better; beyond two sigmas the quiet ones hold it back."""
-    one: Any = SimpleNamespace(readings=readings(noisy(T, 3, 6.0), T), averaged=averaged)
-    floor: Any = SimpleNamespace(field_rms_mgauss=1.0)
-    doubt = quiet_doubt(one.readings)
-    found = _told_twice(one, floor, 36.0, 36.0 * (1.0 + more * doubt) + 1.0, 9000)
-    known = 0.0 if averaged > 1 else max(min(more, 2.0), -2.0)
-    assert found.size**2 == pytest.approx(36.0 * (1.0 + known * doubt))
-    size_doubt = 2.0 * found.doubt / found.size
-    if averaged > 1:
-        assert size_doubt == pytest.approx(doubt)
-    elif abs(more) <= 2.0:
-        assert size_doubt == pytest.approx(math.hypot(math.sqrt(2.0 / 9000.0), 0.5 / found.size**2))
-    else:
-        assert size_doubt == pytest.approx(0.5 * more * doubt)
 
 
 @pytest.mark.parametrize("beside_a_baseline", [True, False])
