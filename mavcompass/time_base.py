@@ -7,13 +7,12 @@ where it would, its longest silences are shortened, all to one length, as far as
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.track import InForce, Series, Track
+from mavcompass.track import Series, Track
 
 # The sparsest telemetry brings a few samples a second, of all quantities together, and one a second at least;
 # an hour of silence costs nobody much.
@@ -36,13 +35,8 @@ def with_sound_times(track: Track) -> Track:
     return _shortened(track, np.unique(np.concatenate(all_times)), most_s)
 
 
-def _series(track: Track) -> Iterator[tuple[str, Series]]:
-    for name in track.__slots__:
-        if isinstance(series := getattr(track, name), Series) and len(series):
-            yield name, series
-    for instance, compass in track.compasses.items():
-        if len(compass.reported):
-            yield f"compass {instance}", compass.reported
+def _series(track: Track) -> list[tuple[str, Series]]:
+    return [(name, series) for name, series in track.columns() if len(series)]
 
 
 def _is_clockless(times: FloatArray) -> bool:
@@ -50,11 +44,10 @@ def _is_clockless(times: FloatArray) -> bool:
 
 
 def _without(track: Track, clockless: set[str]) -> Track:
-    kept = {i: compass for i, compass in track.compasses.items() if f"compass {i}" not in clockless}
-    gone = {name: None for name in clockless if name in track.__slots__}
+    kept = track.with_columns(lambda name, series: None if name in clockless else series)
     named = ", ".join(name.rpartition("_")[0] or name for name in sorted(clockless))
     note = f"Left out {named}: the times of its samples are one and the same, or closer than any sensor's."
-    return replace(track, compasses=kept, notes=(*track.notes, note), **gone)  # type: ignore[arg-type]
+    return replace(kept, notes=(*track.notes, note))
 
 
 def _shortened(track: Track, moments: FloatArray, most_s: float) -> Track:
@@ -73,30 +66,12 @@ def _shortened(track: Track, moments: FloatArray, most_s: float) -> Track:
     def moved(times: FloatArray) -> FloatArray:
         return np.asarray(np.interp(times, moments, placed))
 
-    columns = {
-        name: Series(moved(series.time_s), series.values)
-        for name, series in _series(track)
-        if name in track.__slots__
-    }
-    compasses = {
-        i: replace(
-            compass,
-            reported=Series(moved(compass.time_s), compass.reported.values),
-            in_force=tuple(
-                InForce(float(moved(np.array(step.from_s))), step.correction)
-                if np.isfinite(step.from_s)
-                else step
-                for step in compass.in_force
-            ),
-        )
-        for i, compass in track.compasses.items()
-    }
     count = int(np.count_nonzero(silences > longest_s))
     note = (
         f"{count} silences were shortened to {longest_s:.0f} s: the times of {moments.size} samples span"
         f" {moments[-1] - moments[0]:.3g} s, which is longer than they can carry."
     )
-    return replace(track, compasses=compasses, notes=(*track.notes, note), **columns)  # type: ignore[arg-type]
+    return replace(track.with_times(moved), notes=(*track.notes, note))
 
 
 def _longest(silences: FloatArray, most_s: float) -> float:

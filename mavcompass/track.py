@@ -8,7 +8,7 @@ force at the time; `Track.raw_field` gives the readings with that correction und
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -127,9 +127,6 @@ def uncut(values: FloatArray, step: float) -> FloatArray:
     return np.asarray(values + 0.5 * step * np.sign(values))
 
 
-_FARTHEST = (90.0, 360.0, 1e6)  # latitude, longitude, altitude
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
     """Hold one recording as columns. A quantity that was not recorded is None.
@@ -147,7 +144,7 @@ class Track:
         gps_yaw_rad, gps_velocity_mps (north, east, down), position_ned_m: (N,), (N, 3), (N, 3).
         receiver_velocity_mps: as the receiver itself measured it, where gps_velocity_mps is the autopilot's
             estimate, which a bent compass bends; (N, 3), down may be nan.
-        place: latitude deg, longitude deg, altitude m, (N, 3); what is not on the globe is NaN.
+        place: latitude deg, longitude deg, altitude m, (N, 3).
         current_a, throttle (0..1), temperature_degc: (N,); motors: outputs 0..1, (N, k).
         utc_offset_s: Unix time of time_s = 0; None where unknown.
         parameters: the vehicle's parameters as last seen in the recording.
@@ -177,12 +174,6 @@ class Track:
     utc_offset_s: float | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Take out places that no vehicle can be at."""
-        if self.place is not None and (np.abs(self.place.values) > _FARTHEST).any():
-            on_globe = np.where(np.abs(self.place.values) > _FARTHEST, np.nan, self.place.values)
-            object.__setattr__(self, "place", Series(self.place.time_s, on_globe))
 
     def motor_load(self, time_s: FloatArray, source: str) -> FloatArray | None:
         """Return the load that a motor correction goes with, at other times; None where not recorded."""
@@ -218,35 +209,48 @@ class Track:
             raw[rows] = step.correction.undo(compass.reported.values[rows], load)
         return raw
 
-    def between(self, start_s: float, end_s: float) -> Track:
-        """Cut out start_s <= time < end_s of every column."""
-        cut = {
-            name: series.between(start_s, end_s)
-            for name in self.__slots__
-            if isinstance(series := getattr(self, name), Series)
-        }
-        compasses = {
-            i: replace(compass, reported=compass.reported.between(start_s, end_s))
-            for i, compass in self.compasses.items()
-        }
-        return replace(self, compasses=compasses, **cut)  # type: ignore[arg-type]
+    def columns(self) -> Iterator[tuple[str, Series]]:
+        """Yield what was recorded by its name; a compass's readings go by `compass 1`."""
+        for name in self.__slots__:
+            if isinstance(series := getattr(self, name), Series):
+                yield name, series
+        for instance, compass in self.compasses.items():
+            yield f"compass {instance}", compass.reported
 
-    def shifted(self, by_s: float) -> Track:
-        """Let everything have happened later by some seconds."""
-        moved = {
-            name: Series(series.time_s + by_s, series.values)
-            for name in self.__slots__
-            if isinstance(series := getattr(self, name), Series)
+    def with_columns(self, change: Callable[[str, Series], Series | None]) -> Track:
+        """Change every one of `columns`; what becomes None is gone."""
+        changed = {name: change(name, series) for name, series in self.columns()}
+        compasses = {
+            i: replace(compass, reported=reported)
+            for i, compass in self.compasses.items()
+            if (reported := changed.pop(f"compass {i}")) is not None
         }
+        return replace(self, compasses=compasses, **changed)  # type: ignore[arg-type]
+
+    def with_times(self, moved: Callable[[FloatArray], FloatArray]) -> Track:
+        """Let everything have happened at other times, in the same order."""
+        track = self.with_columns(lambda _, series: Series(moved(series.time_s), series.values))
         compasses = {
             i: replace(
                 compass,
-                reported=Series(compass.time_s + by_s, compass.reported.values),
-                in_force=tuple(InForce(step.from_s + by_s, step.correction) for step in compass.in_force),
+                in_force=tuple(
+                    replace(step, from_s=float(moved(np.array(step.from_s))))
+                    if np.isfinite(step.from_s)
+                    else step
+                    for step in compass.in_force
+                ),
             )
-            for i, compass in self.compasses.items()
+            for i, compass in track.compasses.items()
         }
-        return replace(self, compasses=compasses, **moved)  # type: ignore[arg-type]
+        return replace(track, compasses=compasses)
+
+    def between(self, start_s: float, end_s: float) -> Track:
+        """Cut out start_s <= time < end_s of every column."""
+        return self.with_columns(lambda _, series: series.between(start_s, end_s))
+
+    def shifted(self, by_s: float) -> Track:
+        """Let everything have happened later by some seconds."""
+        return self.with_times(lambda time_s: time_s + by_s)
 
     @property
     def duration_s(self) -> float:
@@ -258,15 +262,13 @@ class Track:
 def joined(tracks: Sequence[Track]) -> Track:
     """Join pieces of one recording, in order of time; what is not a column is taken from the last."""
     last = tracks[-1]
-    columns = {
-        name: _joined([series for track in tracks if isinstance(series := getattr(track, name), Series)])
-        for name in last.__slots__
-        if any(isinstance(getattr(track, name), Series) for track in tracks)
-    }
-    compasses = {
-        i: replace(compass, reported=_joined([t.compasses[i].reported for t in tracks if i in t.compasses]))
-        for i, compass in last.compasses.items()
-    }
+    pieces: dict[str, list[Series]] = {}
+    for track in tracks:
+        for name, series in track.columns():
+            pieces.setdefault(name, []).append(series)
+    whole = {name: _joined(some) for name, some in pieces.items()}
+    compasses = {i: replace(one, reported=whole[f"compass {i}"]) for i, one in last.compasses.items()}
+    columns = {name: series for name, series in whole.items() if name in last.__slots__}
     return replace(last, compasses=compasses, **columns)  # type: ignore[arg-type]
 
 

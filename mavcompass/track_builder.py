@@ -11,12 +11,13 @@ import numpy as np
 
 from mavcompass import messages as mav
 from mavcompass.correction import IDENTITY, FieldCorrection
-from mavcompass.frames import FloatArray, euler_to_quaternion
+from mavcompass.credible import open_ended, quaternions_of, turned_field, with_credible_readings
+from mavcompass.frames import FloatArray
 from mavcompass.messages import telemetry
 from mavcompass.messages.bits import number_told
 from mavcompass.time_base import with_sound_times
 from mavcompass.track import InForce, MagSeries, Series, Track
-from mavcompass.units import INCREDIBLE, MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
+from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
 
 _IMU_MESSAGES: dict[type[mav.Message], str] = {
     mav.RawImu: "RAW_IMU",
@@ -39,8 +40,8 @@ class _Rows:
     values: array[float] = field(default_factory=lambda: array("d"))
 
     def add(self, time_s: float, *values: float) -> None:
-        # The first comparison is False for nan; who floods the link does not fill the memory.
-        if all(abs(value) < INCREDIBLE for value in values) and len(self.times) < _MOST_ROWS:
+        # Who floods the link does not fill the memory.
+        if not any(map(math.isnan, values)) and len(self.times) < _MOST_ROWS:
             self.times.append(time_s)
             self.values.extend(values)
 
@@ -151,13 +152,11 @@ class TrackBuilder:
         message, time_s = heard.message, self.vehicle_time_s(heard.time_s)
         if isinstance(message, mav.SysStatus):
             if message.current_battery >= 0:
-                self._column("current_a").add(time_s, message.current_battery * 0.01)
+                self._column("current_a").add(time_s, float(open_ended(message.current_battery)) * 0.01)
         elif isinstance(message, mav.VfrHud):
             self._column("throttle").add(time_s, message.throttle * 0.01)
         elif isinstance(message, mav.Simstate):
-            angles = (message.roll, message.pitch, message.yaw)
-            if all(map(math.isfinite, angles)):
-                self._column("truth_q").add(time_s, *euler_to_quaternion(*angles).tolist())
+            self._column("truth_q").add(time_s, *quaternions_of(telemetry.euler_rad(message)[np.newaxis])[0])
         elif isinstance(message, mav.ParamValue):
             value, kind = message.param_value, message.param_type
             self.parameters[message.param_id] = number_told(value, kind) if self.autopilot == "px4" else value
@@ -175,13 +174,13 @@ class TrackBuilder:
 
     def _compass(self, instance: int, message: str, columns: Series) -> MagSeries:
         rotation = self._rotations.get(instance)
-        field_mgauss = columns.values[:, 0:3]
+        field_mgauss = open_ended(columns.values[:, 0:3])
         if rotation is not None:
-            field_mgauss = field_mgauss @ rotation.T
+            field_mgauss = turned_field(field_mgauss, rotation)
         if instance in self._turned:
             until_s, turned = self._turned[instance]
             before = columns.time_s[:, np.newaxis] <= until_s
-            field_mgauss = np.where(before, field_mgauss @ turned.T, field_mgauss)
+            field_mgauss = np.where(before, turned_field(field_mgauss, turned), field_mgauss)
         steps = self._in_force.get(instance)
         return MagSeries(
             instance=instance,
@@ -232,7 +231,7 @@ class TrackBuilder:
             utc_offset_s=self._utc_offset_s,
             parameters=dict(self.parameters),
         )
-        return with_sound_times(track)
+        return with_sound_times(with_credible_readings(track))
 
 
 def _over_ground(columns: Series | None) -> Series | None:
@@ -245,4 +244,4 @@ def _over_ground(columns: Series | None) -> Series | None:
 def _scaled(columns: Series | None, which: slice, factor: float) -> Series | None:
     if columns is None:
         return None
-    return Series(columns.time_s, np.asfortranarray(columns.values[:, which] * factor))
+    return Series(columns.time_s, np.asfortranarray(open_ended(columns.values[:, which]) * factor))

@@ -12,9 +12,6 @@ STANDARD_GRAVITY_MPS2 = 9.80665
 MGAUSS_PER_GAUSS = 1000.0
 NANOTESLA_PER_MGAUSS = 100.0
 
-# No quantity of a vehicle is as large in its unit.
-INCREDIBLE = 1e7
-
 RAD_PER_DEG = math.pi / 180.0
 DEG_PER_RAD = 180.0 / math.pi
 

@@ -9,7 +9,8 @@ from types import ModuleType
 
 import numpy as np
 
-from mavcompass.errors import BadRecording, UsageError
+from mavcompass.credible import with_credible_readings
+from mavcompass.errors import BadRecording, NoMagnetometer, UsageError
 from mavcompass.files import require_file
 from mavcompass.installation.additions import modules_in
 from mavcompass.logs import formats
@@ -46,12 +47,14 @@ def read_tracks(path: str | Path) -> dict[int, Track]:
     # Damaged numbers overflow or are signalling nans: they are sorted out, not warned of.
     with np.errstate(invalid="ignore", over="ignore"):
         read: dict[int, Track] = reader.read(path, head)
-        tracks = {system: with_sound_times(track) for system, track in read.items()}
+        tracks = {s: with_sound_times(with_credible_readings(track)) for s, track in read.items()}
     found = {system: track for system, track in tracks.items() if track.compasses}
     if not found:
-        raise BadRecording(
-            f"{path} holds no usable magnetometer. {next(iter(tracks.values())).notes[-1]}",
-            "Give a recording whose times are the vehicle's.",
+        told = next(iter(tracks.values()))
+        raise NoMagnetometer(
+            f"{path} holds no usable magnetometer. {' '.join(told.notes)}",
+            "Check the compass and the vehicle's clock, and record again.",
+            told.parameters,
         )
     return found
 

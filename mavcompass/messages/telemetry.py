@@ -72,9 +72,3 @@ def ground_velocity_mps(gps_raw: Any) -> FloatArray:
     speed = np.asarray(gps_raw.vel) * 0.01
     course = np.radians(np.asarray(gps_raw.cog) * 0.01)
     return _columns(speed * np.cos(course), speed * np.sin(course), np.full_like(speed, np.nan))
-
-
-def battery_current_a(sys_status: Any) -> Any:
-    """Read the battery current off SYS_STATUS or BATTERY_STATUS, amperes; nan where not measured."""
-    centiamps = np.asarray(sys_status.current_battery, dtype=np.float64)
-    return np.where(centiamps < 0.0, np.nan, centiamps * 0.01)

@@ -6,19 +6,16 @@ import numpy as np
 import pytest
 
 from mavcompass.correction import FieldCorrection
-from mavcompass.earth_field import earth_field_of
 from mavcompass.messages import (
     Attitude,
     GlobalPositionInt,
     GpsRawInt,
     Incoming,
-    LocalPositionNed,
     Message,
     ParamValue,
     RawImu,
     ScaledImu,
     ScaledImu2,
-    Simstate,
     SysStatus,
     SystemTime,
 )
@@ -141,31 +138,6 @@ def test_the_denser_message_speaks_for_the_first_compass() -> None:
     track = builder.build()
     assert track.compasses[1].reported.values[:, 0].tolist() == [1.0] * 4
     assert track.compasses[2].reported.values[:, 0].tolist() == [2.0] * 4
-
-
-def test_a_place_off_the_globe_is_no_place() -> None:
-    places = np.array([[47.0, 8.0, 400.0], [214.7, 8.0, 400.0], [47.0, -361.0, 400.0], [47.0, 8.0, 1e30]])
-    track = Track(place=Series(np.arange(4.0), places))
-    assert track.place is not None
-    np.testing.assert_array_equal(np.isfinite(track.place.values).all(axis=1), [True, False, False, False])
-    assert earth_field_of(track) is not None
-    assert earth_field_of(Track(place=Series(np.arange(1.0), places[1:2]))) is None
-
-
-@pytest.mark.parametrize("odd", [float("nan"), float("inf"), -1e30])
-def test_what_is_no_number_is_not_taken_into_a_live_track(odd: float) -> None:
-    builder = TrackBuilder("ardupilot", "rover")
-    for message in (
-        Attitude(time_boot_ms=1000, roll=0.1),
-        Attitude(time_boot_ms=1100, pitch=odd),
-        LocalPositionNed(time_boot_ms=1200, x=odd),
-        Simstate(yaw=odd),
-    ):
-        builder.add(heard(1.0, message))
-    track = builder.build()
-    assert track.attitude_rad is not None and len(track.attitude_rad) == 1
-    assert track.position_ned_m is None
-    assert track.truth_q is None or odd == -1e30
 
 
 def test_a_flood_does_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:

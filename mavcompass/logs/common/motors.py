@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mavcompass.credible import incredible
 from mavcompass.frames import FloatArray
 
 # SERVOn_FUNCTION: motors 1 to 8 and 9 to 12, throttle, throttle left and right.
@@ -33,6 +34,7 @@ def motor_outputs(pulse_us: ArrayLike, parameters: Mapping[str, float]) -> Float
     out = np.empty((len(pulses), len(wanted)), order="F")
     for column, n in enumerate(wanted):
         out[:, column] = _fraction(pulses[:, n - 1], n, parameters)
+    out[incredible("motors", pulses)] = np.inf
     return out
 
 

@@ -9,20 +9,20 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 from mavcompass.track import Series
-from mavcompass.units import INCREDIBLE
 
 
 def finite_series(time_s: FloatArray, values: FloatArray) -> Series | None:
     """Build a series of the samples that are numbers, in order of time; None where there is none.
 
-    `values` is (N,) or (N, k). An estimator that has not started, or a damaged byte, gives nan, inf or 1e30.
+    `values` is (N,) or (N, k). An estimator that has not started gives nan; what is infinite stays in, for
+    `with_credible_readings` to leave out and to tell of.
     """
-    size = np.abs(values)
-    credible = (size if size.ndim == 1 else size.max(axis=1, initial=0.0)) < INCREDIBLE  # False for nan
-    if not bool(credible.any()):
+    rows = values[:, np.newaxis] if values.ndim == 1 else values
+    numbers = ~np.isnan(rows).any(axis=1) | np.isinf(rows).any(axis=1)
+    if not bool(numbers.any()):
         return None
-    if not bool(credible.all()):
-        time_s, values = time_s[credible], values[credible]
+    if not bool(numbers.all()):
+        time_s, values = time_s[numbers], values[numbers]
     if bool((time_s[1:] < time_s[:-1]).any()):
         order = np.argsort(time_s, kind="stable")
         time_s, values = time_s[order], values[order]

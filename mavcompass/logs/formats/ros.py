@@ -14,9 +14,11 @@ from typing import Any
 import numpy as np
 
 from mavcompass.correction import IDENTITY
+from mavcompass.credible import converted
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, matrix_to_euler, quaternion_to_matrix
 from mavcompass.installation.parts import require
+from mavcompass.logs.common import finite_series
 from mavcompass.track import InForce, MagSeries, Series, Track
 
 NAME = "ROS 2 bag (.mcap, .db3)"
@@ -45,8 +47,9 @@ def read(path: Path, head: bytes) -> dict[int, Track]:
     compasses = {}
     for instance, topic in enumerate(fields, 1):
         time_s, values = _column(rows[_FIELD, topic])
-        reported = Series.of(time_s, values * FLU_TO_FRD * MGAUSS_PER_TESLA)
-        compasses[instance] = MagSeries(instance, reported, (InForce(-np.inf, IDENTITY),))
+        reported = finite_series(time_s, values * FLU_TO_FRD * MGAUSS_PER_TESLA)
+        if reported is not None:
+            compasses[instance] = MagSeries(instance, reported, (InForce(-np.inf, IDENTITY),))
         notes.append(f"Compass {instance} is {topic}.")
     found: dict[str, Series] = {}
     if imu := _fullest(rows, _IMU):
@@ -55,12 +58,17 @@ def read(path: Path, head: bytes) -> dict[int, Track]:
         found["gyro_radps"] = Series.of(time_s, values[:, 3:6] * FLU_TO_FRD)
         told = np.linalg.norm(values[:, 6:], axis=1) > 0.5  # all zero where the sensor has no orientation
         if told.any():
-            turned = _ENU_TO_NED @ quaternion_to_matrix(values[told, 6:]) * FLU_TO_FRD
-            found["attitude_rad"] = Series.of(time_s[told], np.stack(matrix_to_euler(turned), axis=1))
+            angles = converted("truth_q", values[told, 6:], _euler_rad)
+            found["attitude_rad"] = Series.of(time_s[told], angles)
         notes.append(f"Attitude, gyro and accelerometer are {imu}.")
     if fix := _fullest(rows, _FIX):
         found["place"] = Series.of(*_column(rows[_FIX, fix]))
     return {1: Track(source=str(path), compasses=compasses, notes=tuple(notes), **found)}  # type: ignore[arg-type]
+
+
+def _euler_rad(flu_to_enu: FloatArray) -> FloatArray:
+    turned = _ENU_TO_NED @ quaternion_to_matrix(flu_to_enu) * FLU_TO_FRD
+    return np.stack(matrix_to_euler(turned), axis=1)
 
 
 def _fullest(rows: Rows, kind: str) -> str:

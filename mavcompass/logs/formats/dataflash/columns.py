@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.frames import FloatArray, euler_to_quaternion, wrap_pi
+from mavcompass.credible import converted, incredible, quaternions_of
+from mavcompass.frames import FloatArray, wrap_pi
 from mavcompass.logs.common import BootClock, finite_series, motor_outputs
 from mavcompass.logs.formats.dataflash.clock import boot_time_s
 from mavcompass.logs.formats.dataflash.records import Log, Records
@@ -144,7 +145,7 @@ def _attitude(attitude: Placed | None) -> Series | None:
     """Read roll, pitch, yaw; the log's yaw runs from 0 to 360 degrees."""
     found = _series(attitude, "Roll", "Pitch", "Yaw", otherwise=RAD_PER_DEG)
     if found is not None:
-        found.values[:, 2] = wrap_pi(found.values[:, 2])
+        found.values[:, 2] = converted("gps_yaw_rad", found.values[:, 2], wrap_pi)
     return found
 
 
@@ -156,7 +157,7 @@ def _truth(sim: Placed | None) -> Series | None:
     if found is not None and bool(found.values.any()):
         return found
     angles = sim.series("Roll", "Pitch", "Yaw", otherwise=RAD_PER_DEG)
-    return None if angles is None else Series.of(angles.time_s, euler_to_quaternion(*angles.values.T))
+    return None if angles is None else Series.of(angles.time_s, quaternions_of(angles.values))
 
 
 def _gps(gps: Placed | None) -> dict[str, Series | None]:
@@ -171,12 +172,13 @@ def _gps(gps: Placed | None) -> dict[str, Series | None]:
     if "Spd" in gps and "GCrs" in gps:
         speed, course = gps.values("Spd")[fix], gps.values("GCrs", otherwise=RAD_PER_DEG)[fix]
         down = gps.values("VZ")[fix] if "VZ" in gps else np.full(speed.size, np.nan)
-        velocity = np.stack([speed * np.cos(course), speed * np.sin(course), down]).T
+        there = converted("gps_yaw_rad", course, lambda rad: np.stack([np.cos(rad), np.sin(rad)]).T)
+        velocity = np.column_stack([speed[:, np.newaxis] * there, down])
         out["gps_velocity_mps"] = Series.of(time_s, velocity)
     if "Yaw" in gps:
         yaw = gps.values("Yaw", otherwise=RAD_PER_DEG)[fix]
         known = yaw != 0.0  # exactly zero stands for none
-        out["gps_yaw_rad"] = finite_series(time_s[known], wrap_pi(yaw[known]))
+        out["gps_yaw_rad"] = finite_series(time_s[known], converted("gps_yaw_rad", yaw[known], wrap_pi))
     return out
 
 
@@ -193,9 +195,9 @@ def _throttle(control: Placed | None, rover: Placed | None) -> Series | None:
     if found is None:
         return None
     size = np.abs(found.values)
-    largest = float(np.nanmax(size)) if bool(np.isfinite(size).any()) else 0.0
+    largest = float(size[~incredible("throttle", size)].max(initial=0.0))
     full = 1.0 if largest <= 1.5 else 100.0 if largest <= 150.0 else 1000.0
-    return Series.of(found.time_s, np.clip(size / full, 0.0, 1.0))
+    return Series.of(found.time_s, converted("throttle", size, lambda s: np.clip(s / full, 0.0, 1.0)))
 
 
 def _motors(outputs: Placed | None, parameters: Mapping[str, float]) -> Series | None:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcompass.credible import open_ended
 from mavcompass.frames import FloatArray
 from mavcompass.logs.common import CHUNK_BYTES, Chunk, GrowingArray, not_overlapping, read_chunks, windows
 from mavcompass.logs.formats.dataflash.record_types import (
@@ -76,6 +77,8 @@ class Records:
         own = self.fields[name].factor
         factor = otherwise if own is None else own
         values = self.decoded(name)
+        if self.fields[name].character == "h":
+            values = open_ended(values)
         return values if factor == 1.0 else values * factor
 
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from mavcompass.compass_parameters import ardupilot_name, px4_name, px4_sensor_to_body
 from mavcompass.correction import IDENTITY, FieldCorrection
-from mavcompass.frames import FloatArray, euler_to_quaternion
+from mavcompass.credible import open_ended, quaternions_of, turned_field
+from mavcompass.frames import FloatArray
 from mavcompass.logs.common import (
     Change,
     ardupilot_steps,
@@ -22,7 +23,7 @@ from mavcompass.logs.common import (
 from mavcompass.logs.formats.tlog.clock import Placer, Samples
 from mavcompass.messages import telemetry
 from mavcompass.track import InForce, MagSeries, Series
-from mavcompass.units import MGAUSS_PER_GAUSS
+from mavcompass.units import MGAUSS_PER_GAUSS, MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
 
 HIGHRES = "HIGHRES_IMU"
 # ArduPilot sent HIGHRES_IMU's field a million times too large until 2026; Earth's is below one gauss.
@@ -66,7 +67,8 @@ def compass_of(
     """
     notes: list[str] = []
     highres = samples.name == HIGHRES
-    reported = _highres_mgauss(samples.rows, autopilot) if highres else telemetry.field_mgauss(samples.rows)
+    rows = samples.rows
+    reported = _highres_mgauss(rows, autopilot) if highres else open_ended(telemetry.field_mgauss(rows))
     steps: tuple[InForce, ...] = (InForce(-np.inf, IDENTITY),)
     known = True
     device_id: float | None = None
@@ -111,7 +113,7 @@ def _px4_body_axes(
     name = px4_name("ROT", instance)
     if name not in parameters:
         return sensor_mgauss, (f"{name} is not recorded: compass {instance} is taken as not rotated.",)
-    return sensor_mgauss @ px4_sensor_to_body(parameters, instance).T, ()
+    return turned_field(sensor_mgauss, px4_sensor_to_body(parameters, instance)), ()
 
 
 def _highres_mgauss(rows: object, autopilot: str) -> FloatArray:
@@ -129,12 +131,12 @@ _UNKNOWN_U16 = 65535
 def body_columns(body: Samples) -> dict[str, Series]:
     """Give accelerometer, gyro and temperature of one message, on the same times as its field."""
     rows: Any = body.rows
+    acc = np.stack([rows.xacc, rows.yacc, rows.zacc]).T
+    gyro = np.stack([rows.xgyro, rows.ygyro, rows.zgyro]).T
     if body.name == HIGHRES:
-        acc = np.stack([rows.xacc, rows.yacc, rows.zacc]).T
-        gyro = np.stack([rows.xgyro, rows.ygyro, rows.zgyro]).T
         degc = rows.temperature.astype(np.float64)
     else:
-        acc, gyro = telemetry.acceleration_mps2(rows), telemetry.angular_rate_radps(rows)
+        acc, gyro = open_ended(acc) * MPS2_PER_MILLI_G, open_ended(gyro) * RADPS_PER_MILLIRADPS
         degc = rows.temperature * _CENTI
     out = {"acc_mps2": finite_series(body.time_s, acc), "gyro_radps": finite_series(body.time_s, gyro)}
     if bool(degc.any()):  # zero stands for not measured
@@ -164,12 +166,12 @@ def columns(placer: Placer, parameters: Mapping[str, float]) -> dict[str, Series
 
 
 def _velocity(rows: Any) -> FloatArray:
-    return np.stack([rows.vx, rows.vy, rows.vz]).T * _CENTI
+    return open_ended(np.stack([rows.vx, rows.vy, rows.vz]).T) * _CENTI
 
 
 _SIMPLE: tuple[tuple[str, str, Callable[[Any], FloatArray]], ...] = (
     ("ATTITUDE", "attitude_rad", telemetry.euler_rad),
-    ("SIMSTATE", "truth_q", lambda rows: euler_to_quaternion(*telemetry.euler_rad(rows).T)),
+    ("SIMSTATE", "truth_q", lambda rows: quaternions_of(telemetry.euler_rad(rows))),
     ("LOCAL_POSITION_NED", "position_ned_m", lambda rows: np.stack([rows.x, rows.y, rows.z]).T),
     ("VFR_HUD", "throttle", lambda rows: np.clip(rows.throttle * _CENTI, 0.0, 1.0)),
     ("SCALED_PRESSURE", "temperature_degc", lambda rows: rows.temperature * _CENTI),
@@ -219,6 +221,6 @@ def _current(placer: Placer) -> dict[str, Series]:
         if name == "BATTERY_STATUS":
             measured &= rows.id == 0
         if np.count_nonzero(measured) > (0 if best is None else len(best)):
-            current = telemetry.battery_current_a(rows[measured])
+            current = open_ended(rows.current_battery[measured]) * _CENTI
             best = Series.of(found.time_s[measured], current)
     return {} if best is None else {"current_a": best}

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from mavcompass.frames import FloatArray, matrix_to_euler, quaternion_to_matrix, wrap_pi
+from mavcompass.credible import angles_of, converted, incredible
+from mavcompass.frames import FloatArray, wrap_pi
 from mavcompass.kinds import VEHICLES
 from mavcompass.logs.common import finite_series, motor_outputs
 from mavcompass.logs.formats.ulog.topics import has, indexed, time_s, vector
@@ -52,7 +53,7 @@ def columns(topics: Topics, parameters: Mapping[str, float]) -> dict[str, Series
         "position_ned_m": _first(topics, ("vehicle_local_position", "x", "y", "z")),
         "place": _place(topics),
         "gps_velocity_mps": _gps(topics, "vel_n_m_s", "vel_e_m_s", "vel_d_m_s"),
-        "gps_yaw_rad": _gps(topics, "heading", convert=wrap_pi),
+        "gps_yaw_rad": _gps(topics, "heading", convert=lambda rad: converted("gps_yaw_rad", rad, wrap_pi)),
         "current_a": _current(topics),
         "throttle": _throttle(topics),
         "temperature_degc": _first(topics, ("sensor_baro", "temperature")),
@@ -97,9 +98,7 @@ def _first(topics: Topics, *choices: tuple[str, ...]) -> Series | None:
 
 def _attitude(topics: Topics) -> Series | None:
     q = _first(topics, ("vehicle_attitude", *indexed("q", 4)))
-    if q is None:
-        return None
-    return Series.of(q.time_s, np.stack(matrix_to_euler(quaternion_to_matrix(q.values))).T)
+    return None if q is None else Series.of(q.time_s, angles_of(q.values))
 
 
 def _receivers(topics: Topics) -> list[Any]:
@@ -141,9 +140,15 @@ def _throttle(topics: Topics) -> Series | None:
     thrust = _first(topics, ("vehicle_thrust_setpoint", *indexed("xyz")))
     if thrust is not None:
         size = np.linalg.norm(thrust.values, axis=1)
-        return Series.of(thrust.time_s, np.clip(size, 0.0, 1.0))
+        return Series.of(thrust.time_s, converted("throttle", size, _share))
     control = _first(topics, ("actuator_controls_0", "control[3]"))
-    return None if control is None else Series.of(control.time_s, np.clip(control.values, 0.0, 1.0))
+    if control is None:
+        return None
+    return Series.of(control.time_s, converted("throttle", control.values, _share))
+
+
+def _share(size: FloatArray) -> FloatArray:
+    return np.clip(np.nan_to_num(size), 0.0, 1.0)
 
 
 def _motors(topics: Topics, parameters: Mapping[str, float]) -> Series | None:
@@ -153,16 +158,15 @@ def _motors(topics: Topics, parameters: Mapping[str, float]) -> Series | None:
         controls = vector(data, *names).reshape(-1, len(names)) if names else np.empty((0, 0))
         used = np.isfinite(controls).any(axis=0)
         if bool(used.any()):
-            return Series.of(time_s(data), np.clip(np.nan_to_num(np.abs(controls[:, used])), 0.0, 1.0))
+            return Series.of(time_s(data), converted("motors", np.abs(controls[:, used]), _share))
     for data in topics.get("actuator_outputs", ())[:1]:
         count = int(np.max(data.data["noutputs"])) if has(data, "noutputs") else 8
         names = [name for name in indexed("output", min(count, 8)) if name in data.data]
         if names:
-            outputs = np.nan_to_num(
-                np.stack([np.asarray(data.data[name], dtype=np.float64) for name in names]).T
-            )
-            if float(np.abs(outputs).max(initial=0.0)) > _FRACTION:
-                fractions = motor_outputs(outputs, {})
+            outputs = np.abs(np.stack([np.asarray(data.data[name], dtype=np.float64) for name in names]).T)
+            credible = np.nan_to_num(outputs[~incredible("motors", outputs)])
+            if float(credible.max(initial=0.0)) > _FRACTION:
+                fractions = motor_outputs(np.nan_to_num(outputs), {})
                 return None if fractions is None else Series.of(time_s(data), fractions)
-            return Series.of(time_s(data), np.clip(np.abs(outputs), 0.0, 1.0))
+            return Series.of(time_s(data), converted("motors", outputs, _share))
     return None

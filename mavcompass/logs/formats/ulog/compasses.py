@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from mavcompass.compass_parameters import px4_name, px4_sensor_to_body
 from mavcompass.correction import IDENTITY
+from mavcompass.credible import turned_field
 from mavcompass.frames import FloatArray
 from mavcompass.logs.common import (
     Change,
@@ -56,7 +57,7 @@ def compasses(
         instance = _instance(device_id, parameters, found)
         field = vector(data, "x", "y", "z") * MGAUSS_PER_GAUSS
         rotation = px4_sensor_to_body(parameters, instance)
-        reported, silent = spoken(finite_series(time_s(data), field @ rotation.T))
+        reported, silent = spoken(finite_series(time_s(data), turned_field(field, rotation)))
         if reported is not None:
             notes += said_nothing(instance, silent, reported)
             steps, known = px4_steps(history, instance)
