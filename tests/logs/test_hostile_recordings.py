@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -128,3 +129,31 @@ def test_what_shows_no_gravity_is_refused_by_every_door_that_needs_a_level(
         assert caught.value.remedy
     rows = [examine(Job(work), str(path)) for work in ("calibrate", "diagnose")]
     assert ["nothing tells what is level" in row[0]["error"] for row in rows] == [True, True]
+
+
+@pytest.mark.parametrize("suffix", [".tlog", ".bin", ".log", ".ulg", ".csv"])
+@pytest.mark.parametrize("quantity", ["mag", "acc", "gyro"])
+@pytest.mark.parametrize("odd", [1e30, -np.inf])
+def test_what_no_sensor_can_say_is_left_out_and_told(
+    tmp_path: Path, files: ModuleType, suffix: str, quantity: str, odd: float
+) -> None:
+    """Formats of whole numbers cannot say more than their end, which no sensor says either."""
+    values = getattr(files.Flight(), quantity).copy()
+    values[100:105] = odd
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(files.WRITERS[suffix](files.Flight(**{quantity: values})))
+    track = read_track(path)
+    fewer = [name for name, series in track.columns() if len(series) == files.COUNT - 5]
+    assert [{"compass 1": "mag"}.get(name, name.partition("_")[0]) for name in fewer] == [quantity]
+    assert any(note.startswith(f"Left out 5 of {files.COUNT} readings of ") for note in track.notes)
+
+
+@pytest.mark.parametrize("suffix", [".tlog", ".bin", ".log", ".ulg", ".csv"])
+@pytest.mark.parametrize("value", [0.0, 1.0, -32768.0])
+def test_a_compass_that_says_one_thing_is_diagnosed_or_refused(
+    tmp_path: Path, files: ModuleType, suffix: str, value: float
+) -> None:
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(files.WRITERS[suffix](files.Flight(mag=np.full((files.COUNT, 3), value))))
+    with suppress(BadRecording):
+        assert [cause.effect for cause in diagnose_gap(read_track(path)).causes] == ["stale_samples"]

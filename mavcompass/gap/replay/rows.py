@@ -91,13 +91,6 @@ def compass_rows(
         if step == 0.0 and fresh.sum() < _BROUGHT_NEW * fresh.size:
             lost = np.diff(compass.time_s, prepend=compass.time_s[0]) > _LOST * message_s
             time_s = reading_times(time_s, message_s, lost[keep])
-    # A sensor that stays brings little that is new, which is a finding and no lack of readings.
-    if time_s.size < (FEWEST_NEW if reported.shape[0] >= FEWEST_ROWS else FEWEST_ROWS):
-        raise BadRecording(
-            f"{track.source or 'The recording'} has {time_s.size} readings of compass {compass.instance},"
-            " too few.",
-            _more_readings(track, time_s.size),
-        )
     corrected = _corrected(track, restored)
     corrected = None if corrected is None else corrected[keep]
     finite = np.asarray(np.isfinite(raw).all(axis=1))
@@ -106,6 +99,13 @@ def compass_rows(
     fine = trace.step_mgauss == 0.0 and compass.quantum_mgauss == 0.0
     if not telemetry and trace.stale_share > 0.0 and fine:
         usable = np.asarray(finite & ~trace.stale)
+    # A sensor that stays brings little that is new, which is a finding and no lack of readings.
+    few = int(usable.sum())
+    if few < (FEWEST_NEW if reported.shape[0] >= FEWEST_ROWS else FEWEST_ROWS):
+        raise BadRecording(
+            f"{track.source or 'The recording'} has {few} readings of compass {compass.instance}, too few.",
+            _more_readings(track, few),
+        )
     width = _odd_width(time_s, period_s)
     if most_averaged is not None:
         width = min(width, most_averaged)
