@@ -31,12 +31,15 @@ class Series:
 
     @classmethod
     def of(cls, time_s: ArrayLike, values: ArrayLike) -> Series:
-        """Build a series from any array-likes; raises ValueError where the lengths differ."""
-        times = np.ascontiguousarray(time_s, dtype=np.float64)
-        array = np.asfortranarray(values, dtype=np.float64)
+        """Build a series from any array-likes, in any order; raises ValueError where the lengths differ."""
+        times = np.asarray(time_s, dtype=np.float64)
+        array = np.asarray(values, dtype=np.float64)
         if times.ndim != 1 or array.shape[:1] != times.shape:
             raise ValueError(f"{times.shape} times do not go with values of shape {array.shape}")
-        return cls(times, array)
+        if bool((times[1:] < times[:-1]).any()):
+            order = np.argsort(times, kind="stable")
+            times, array = times[order], array[order]
+        return cls(np.ascontiguousarray(times), np.asfortranarray(array))
 
     def __len__(self) -> int:
         """Count the samples."""
@@ -266,14 +269,11 @@ def joined(tracks: Sequence[Track]) -> Track:
     for track in tracks:
         for name, series in track.columns():
             pieces.setdefault(name, []).append(series)
-    whole = {name: _joined(some) for name, some in pieces.items()}
+    # A message that came late lies in the piece after its own: a series puts it in order.
+    whole = {
+        name: Series.of(np.concatenate([s.time_s for s in some]), np.concatenate([s.values for s in some]))
+        for name, some in pieces.items()
+    }
     compasses = {i: replace(one, reported=whole[f"compass {i}"]) for i, one in last.compasses.items()}
     columns = {name: series for name, series in whole.items() if name in last.__slots__}
     return replace(last, compasses=compasses, **columns)  # type: ignore[arg-type]
-
-
-def _joined(pieces: Sequence[Series]) -> Series:
-    # A message that came late lies in the piece after its own.
-    times = np.concatenate([piece.time_s for piece in pieces])
-    order = np.argsort(times, kind="stable")
-    return Series.of(times[order], np.concatenate([piece.values for piece in pieces])[order])

@@ -23,9 +23,6 @@ def finite_series(time_s: FloatArray, values: FloatArray) -> Series | None:
         return None
     if not bool(numbers.all()):
         time_s, values = time_s[numbers], values[numbers]
-    if bool((time_s[1:] < time_s[:-1]).any()):
-        order = np.argsort(time_s, kind="stable")
-        time_s, values = time_s[order], values[order]
     return Series.of(time_s, values)
 
 

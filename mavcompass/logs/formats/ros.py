@@ -121,5 +121,4 @@ _NUMBERS: dict[str, Callable[[Any], tuple[float, ...]]] = {
 
 def _column(rows: list[tuple[float, ...]]) -> tuple[FloatArray, FloatArray]:
     table = np.array(rows)
-    table = table[np.argsort(table[:, 0], kind="stable")]
     return table[:, 0], table[:, 1:]

@@ -6,7 +6,7 @@ import csv
 import io
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
@@ -50,8 +50,7 @@ def read_track_csv(path: Path) -> Track:
     the format's resolution. Raises BadRecording, with the line, for what cannot be read.
     """
     table = _read_table(path)
-    time_s = table.columns([TIME])[:, 0]  # type: ignore[index]
-    table, time_s, sorting = _in_order(table, time_s, path)
+    time_s, sorting = _times(table, path)
     found: dict[str, Series] = {}
     for quantity, names in VECTORS.items():
         some = [name for name in names if name in table.header]
@@ -85,18 +84,14 @@ def read_track_csv(path: Path) -> Track:
     )
 
 
-def _in_order(table: _Table, time_s: FloatArray, path: Path) -> tuple[_Table, FloatArray, list[str]]:
+def _times(table: _Table, path: Path) -> tuple[FloatArray, list[str]]:
+    """Return the rows' times, and what to say of them."""
+    time_s = table.values[:, table.header.index(TIME)]
     unknown = np.flatnonzero(~np.isfinite(time_s))
     if unknown.size:
         raise BadRecording(f"{path}, line {int(unknown[0]) + 2}: {TIME} is no time.", "Correct that line.")
-    if bool((np.diff(time_s) >= 0.0).all()):
-        return table, time_s, []
-    order = np.argsort(time_s, kind="stable")
-    return (
-        replace(table, values=table.values[order]),
-        time_s[order],
-        ["The rows were not in order of time; they were sorted."],
-    )
+    sorting = bool((np.diff(time_s) < 0.0).any())
+    return time_s, ["The rows were not in order of time; they were sorted."] if sorting else []
 
 
 def _add(

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcompass.credible import converted, incredible, quaternions_of
 from mavcompass.frames import FloatArray, wrap_pi
@@ -23,17 +22,15 @@ _CENTI = 0.01
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placed:
-    """Hold one kind of records (one instance) from all logs of a file, in order of time.
+    """Hold one kind of records (one instance) from all logs of a file.
 
     Attributes:
         time_s: (N,).
         parts: the records, one part for each log.
-        sort: the order of time where the file's order is another one.
     """
 
     time_s: FloatArray
     parts: tuple[Records, ...]
-    sort: NDArray[np.intp] | None = None
 
     def __contains__(self, field: object) -> bool:
         """Tell whether every log has this field."""
@@ -48,8 +45,6 @@ class Placed:
                 values = records.quantity(field, otherwise)
                 out[first : first + values.size, column] = values
                 first += values.size
-            if self.sort is not None:
-                out[:, column] = out[self.sort, column]
         return out[:, 0] if len(fields) == 1 else out
 
     def series(self, *fields: str, otherwise: float = 1.0) -> Series | None:
@@ -94,11 +89,7 @@ def _place(name: str, parts: list[Records], clock: BootClock) -> Placed:
         boot_s = boot_time_s(name, records)
         assert boot_s is not None  # only kinds with a time come here
         pieces.append(clock.from_boot(records.order, boot_s))
-    time_s = pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
-    if bool((time_s[1:] < time_s[:-1]).any()):
-        sort = np.argsort(time_s, kind="stable")
-        return Placed(time_s[sort], tuple(parts), sort)
-    return Placed(time_s, tuple(parts))
+    return Placed(pieces[0] if len(pieces) == 1 else np.concatenate(pieces), tuple(parts))
 
 
 def _series(placed: Placed | None, *fields: str, otherwise: float = 1.0) -> Series | None:
