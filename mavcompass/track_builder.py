@@ -172,7 +172,7 @@ class TrackBuilder:
     def _column(self, name: str) -> _Rows:
         return self._columns.setdefault(name, _Rows())
 
-    def _compass(self, instance: int, message: str, columns: Series) -> MagSeries:
+    def _compass(self, instance: int, columns: Series) -> MagSeries:
         rotation = self._rotations.get(instance)
         field_mgauss = open_ended(columns.values[:, 0:3])
         if rotation is not None:
@@ -207,7 +207,7 @@ class TrackBuilder:
         for name, columns in sorted(imu.items(), key=lambda item: len(item[1] or ())):
             if columns is not None:
                 instance = telemetry.MAG_MESSAGES[name]
-                compasses[instance] = self._compass(instance, name, columns)
+                compasses[instance] = self._compass(instance, columns)
                 if instance == 1:
                     body = columns
         columns_by_name: Mapping[str, Series | None] = {n: r.series() for n, r in self._columns.items()}
