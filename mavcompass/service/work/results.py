@@ -82,6 +82,7 @@ class Results:
         task.results = report.results  # the proof solves anew, but what counts is what was written
         document = live_document(self._config.vehicle.source, report, task.request.method)
         document["old_and_new"] = [old_and_new(result) for result in report.results]
+        document["in_force"] = _left_in_force(report)
         ok = report.accepted and not report.undone
         undo_file = document["undo_file"]
         number = self._record(
@@ -216,6 +217,17 @@ def _summary(report: CalibrationReport) -> str:
     if report.heading is not None and report.steers_off:
         steers = f". {report.heading.summary().rstrip('.')}"
     return f"{', '.join(parts)}; {end}{steers}"
+
+
+def _left_in_force(report: CalibrationReport) -> dict[str, Mapping[str, float]]:
+    """Return by compass what a written calibration left: of one that was right already, what there was."""
+    were = report.track.parameters
+    return {
+        str(result.instance): {name: were[name] for name in result.parameters if name in were}
+        if result.already_right
+        else result.parameters
+        for result in report.results
+    }
 
 
 def old_and_new(result: CalibrationResult) -> dict[str, Any]:

@@ -69,13 +69,10 @@ def stale_findings(
 
 
 def _changed(last: Entry, parameters: Mapping[str, float], instance: int) -> list[str]:
-    """List the parameters that no longer hold what the last calibration wrote."""
-    for compass in last.document.get("compasses", ()):
-        if compass.get("instance") == instance:
-            written: Mapping[str, float] = compass.get("parameters", {})
-            return [
-                name
-                for name, value in written.items()
-                if name in parameters and abs(parameters[name] - value) > _SAME * max(1.0, abs(value))
-            ]
-    return []
+    """List the parameters that no longer hold what the last calibration left."""
+    left: Mapping[str, float] = last.document.get("in_force", {}).get(str(instance), {})
+    return [
+        name
+        for name, value in left.items()
+        if name in parameters and abs(parameters[name] - value) > _SAME * max(1.0, abs(value))
+    ]

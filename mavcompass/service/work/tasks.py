@@ -283,6 +283,7 @@ class Task:
         return {
             "id": self.number,
             "kind": self.request.kind,
+            "method": self.request.method if isinstance(self.request, CalibrationRequest) else None,
             "origin": self.origin,
             "started_at": self.started_at,
             "state": self.state,

@@ -5,6 +5,7 @@ Pictures of every step are saved in the folder $MAVCOMPASS_SCREENSHOTS, by defau
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import threading
@@ -13,13 +14,15 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any
 
 import pytest
 from chromium import Page, find_chromium
 from running_service import RunningService, StartService, wait_for
 
 from mavcompass.service.config import HttpConfig
-from mavcompass.simulation.heading_error import heading_error_rms_deg
+from mavcompass.simulation.heading_error import heading_error_rms_deg, heading_errors_rad
+from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.simulated import SimulatedLink
 
 SCREENSHOTS = Path(
@@ -152,6 +155,52 @@ def test_a_person_is_told_how_to_turn_and_can_stop(start_service: StartService, 
     page.click("#stop")
     page.wait("!document.querySelector('#result').hidden")
     assert "Stopped from the page" in page.text("#result")
+    assert page.errors == []
+
+
+def test_a_vehicle_that_nobody_can_turn_is_calibrated_by_the_heading_that_is_typed_in(
+    start_service: StartService, open_page: OpenPage
+) -> None:
+    link = SimulatedLink.of("rover", seed=5, speed=8.0)
+    vehicle = link.autopilot
+    assert isinstance(vehicle, SimulatedAutopilot)
+    vehicle.disarm()
+    stands_at = vehicle.truth.yaw_rad
+    running = start_service(link)
+    page = open_page(running)
+
+    def choose(what: str, value: str) -> None:
+        page.run(f"document.querySelector('#{what}').value = '{value}'")
+        page.run(f"document.querySelector('#{what}').dispatchEvent(new Event('change'))")
+
+    page.run("document.querySelector('#work details').open = true")
+    assert page.run("document.querySelector('#true-heading').offsetParent === null")
+    choose("method", "one-point")
+    assert "left where it stands" in page.text("#motion-hint")
+    choose("true-heading", "400")
+    page.click("#calibrate")
+    assert page.run("document.querySelector('#running').hidden"), "no such heading: nothing was sent"
+    choose("true-heading", f"{math.degrees(stands_at):.2f}")
+    choose("max-error", "8")  # one position tells no more than about five degrees of the whole circle
+    look(page, "9-true-heading")
+    page.click("#calibrate")
+    page.wait("!document.querySelector('#question').hidden")
+    page.wait("document.querySelectorAll('.c-spot.lit').length === 1")
+    assert page.run("document.querySelectorAll('.c-spot').length") == 1
+    page.click("#yes")
+    page.wait("!document.querySelector('#result').hidden")
+    assert "written, read back" in page.text("#result .verdict")
+
+    # Two compasses were right already: nothing was written for them, and nobody has changed them since.
+    def judged() -> dict[str, Any] | None:
+        state = running.client.get("/api/state").json()
+        return state if all(c["calibration_sigma_deg"] for c in state["vehicle"]["compasses"]) else None
+
+    assert "parameters" not in [finding["id"] for finding in wait_for(judged)["findings"]]
+    assert vehicle.truth.yaw_rad == pytest.approx(stands_at, abs=1e-9)
+    errors = heading_errors_rad(vehicle)
+    here = round((stands_at + math.pi) / math.tau * len(errors)) % len(errors)
+    assert abs(math.degrees(errors[here])) < 1.0
     assert page.errors == []
 
 

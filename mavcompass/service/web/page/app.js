@@ -82,11 +82,23 @@ function consent(text, agree) {
   return new Promise((done) => dialog.addEventListener("close", () => done(dialog.returnValue === "yes"), { once: true }));
 }
 
-const armsFirst = () => page.vehicle?.armed === false && $("motion").value === "vehicle";
+const method = () => $("method").value;
+const armsFirst = () => method() === "four-positions" && page.vehicle?.armed === false && $("motion").value === "vehicle";
+
+// Of a number that the service would not take the browser says why.
+function numbers(...ids) {
+  const fields = ids.map($);
+  return fields.every((field) => field.reportValidity()) ? fields.map((field) => field.value) : null;
+}
 
 $("calibrate").addEventListener("click", async () => {
   const chosen = $("compasses").value;
-  const body = { motion: $("motion").value, writing: $("writing").value, compasses: chosen ? [Number(chosen)] : [] };
+  const body = { method: method(), motion: $("motion").value, writing: $("writing").value, compasses: chosen ? [Number(chosen)] : [] };
+  const given = numbers("max-error", "true-heading", "true-heading-sigma");
+  if (!given) return;
+  body.max_error_deg = Number(given[0]);
+  // Left empty it is a second antenna's, and the service says so where there is none.
+  if (method() === "one-point" && given[1]) Object.assign(body, { true_heading_deg: Number(given[1]), true_heading_sigma_deg: Number(given[2]) });
   if (armsFirst()) {
     const copter = page.vehicle.kind === "copter";
     const flight = copter ? ", take off to 3 m, turn there, land" : " and turn on the spot";
@@ -97,6 +109,10 @@ $("calibrate").addEventListener("click", async () => {
   begin("/api/calibration", body);
 });
 $("motion").addEventListener("change", showHint);
+$("method").addEventListener("change", () => {
+  for (const label of document.querySelectorAll("[data-for]")) label.hidden = label.dataset.for !== method();
+  showHint();
+});
 $("check").addEventListener("click", () => begin("/api/check", { turn: $("turn").value }));
 $("stop").addEventListener("click", () => post("/api/task/stop"));
 $("yes").addEventListener("click", () => post("/api/task/answer", { yes: true }));
@@ -154,9 +170,15 @@ async function loadState() {
 }
 setInterval(loadState, 2000);
 
+const HINTS = {
+  "one-point": "It is left where it stands, on the level, motors off: say where it points, by a landmark's bearing, a second antenna or the sun.",
+  autopilot: "The autopilot calibrates by its own method: turn the vehicle by hand, every side down once. What it finds is judged before it is kept.",
+};
+
 function showHint() {
   $("motion-hint").textContent = !page.vehicle
     ? "Waiting for the vehicle."
+    : HINTS[method()] ? HINTS[method()]
     : page.vehicle.armed
       ? "The vehicle is armed: it turns itself, four times by 90°. Keep clear."
       : armsFirst()
@@ -186,7 +208,7 @@ function showNow() {
     const trail = page.trail?.task === page.task.id ? page.trail : null;
     $("turned").textContent = `${(now.turned_deg - (trail?.turned ?? now.turned_deg)).toFixed(0)}°`;
     $("still").classList.toggle("on", now.still);
-    const planned = page.task.kind === "calibration" ? 4 : 0;
+    const planned = { "four-positions": 4, "one-point": 1 }[page.task.method] ?? 0;
     circle.draw(trail?.compasses[heading.instance], [forward, right], page.world?.horizontal_mgauss ?? null, planned);
   }
 }
