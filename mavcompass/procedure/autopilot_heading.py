@@ -67,10 +67,11 @@ def yaw_error_rad(
     start_s: float,
     end_s: float,
     turned: FloatArray | None = None,
-) -> float:
-    """Return the autopilot's yaw less the true heading by a calibrated compass, over a still stretch.
+) -> tuple[float, float]:
+    """Return the autopilot's yaw less the true heading by a calibrated compass at rest; and that one's sigma.
 
-    `turned` (3, 3) makes what was recorded what the compass reads as it is mounted.
+    The sigma is of noise, tilt and unrest over the stretch, not of the calibration. `turned` (3, 3) makes
+    what was recorded what the compass reads as it is mounted.
     Raises PoorCalibration where the recording holds too little of either.
     """
     attitude = track.attitude_rad
@@ -81,7 +82,8 @@ def yaw_error_rad(
     if turned is not None:
         seen = replace(seen, mean_mgauss=turned @ seen.mean_mgauss)
     yaw = float(np.angle(np.exp(1j * said.values[:, 2]).mean()))
-    return float(wrap_pi(yaw - seen.heading_rad(result.correction) - world.declination_rad))
+    sigma = seen.heading_sigma_rad(world.horizontal_mgauss, world.ned_mgauss[2])
+    return float(wrap_pi(yaw - seen.heading_rad(result.correction) - world.declination_rad)), sigma
 
 
 @dataclass(slots=True)
@@ -92,7 +94,8 @@ class OwnHeading:
         overrides: what is held at other values for a while.
         result: the calibrated compass that the heading is compared with; None before there is one.
         before_deg: the error at the start, before the vehicle was turned.
-        by: what brought it there. samples: vehicle time and error, degrees, since the last intervention.
+        by: what brought it there. samples: vehicle time, error and its sigma, degrees, since the last
+            intervention.
         not_loaded: True while the autopilot flies on with the calibration that it took off with.
     """
 
@@ -102,7 +105,7 @@ class OwnHeading:
     result: CalibrationResult | None = None
     before_deg: float = math.nan
     by: list[str] = field(default_factory=list)
-    samples: list[tuple[float, float]] = field(default_factory=list)
+    samples: list[tuple[float, float, float]] = field(default_factory=list)
     not_loaded: bool = False
     _values: Mapping[str, float] = field(default_factory=dict)
     _written_s: float = math.nan
@@ -209,6 +212,11 @@ class OwnHeading:
         yield from pause(self._context, self._sample_s + _LAG_S)
         self._look()
 
+    def note(self, time_s: float, error_deg: float, sigma_deg: float) -> None:
+        """Take one sample of the error."""
+        self._latest_deg = error_deg
+        self.samples.append((time_s, error_deg, sigma_deg))
+
     def restarted(self) -> None:
         """Begin anew after a restart of the autopilot."""
         self.by, self._latest_deg = ["a restart"], math.nan
@@ -239,32 +247,49 @@ class OwnHeading:
 
     @property
     def error_deg(self) -> float:
-        """Return the latest error, also that from before an intervention; nan where it was never measured."""
-        return self._latest_deg
+        """Return the error as it is now, or was before an intervention; nan where it was never measured.
+
+        Where it goes to and fro, the latest sample counts as far as it is no noise.
+        """
+        if not self.wander_deg > 0.0:
+            return self._latest_deg
+        share = self.wander_deg**2 / (self.wander_deg**2 + self.samples[-1][2] ** 2)
+        return self._mean_deg + share * (self._latest_deg - self._mean_deg)
 
     @property
     def slope_dps(self) -> float:
         """Return how fast the error changes, degrees per second; nan while that cannot be told."""
         recent = self._recent(_SLOPE_S * self._slowness, _SLOPE_AT_LEAST_S * self._slowness)
-        return math.nan if recent is None else float(np.polyfit(*recent, 1)[0])
+        return math.nan if recent is None else float(np.polyfit(recent[0], recent[1], 1)[0])
 
     @property
     def wander_deg(self) -> float:
         """Return by how much the error goes to and fro, 1 sigma; nan while that was not seen for long enough.
 
-        ArduPilot's does not.
+        ArduPilot's does not. What the samples scatter by of their own noise is none of it.
         """
         if not self.desk.dialect.loads_disarmed:
             return 0.0
         recent = self._recent(_WANDER_S, _WANDER_AT_LEAST_S)
-        return math.nan if recent is None else float(recent[1].std())
+        if recent is None:
+            return math.nan
+        _, error, sigma = recent
+        # What noise alone scatters by, by chance, is not taken for nothing: it tells no less than its doubt.
+        noise2 = float((sigma**2).mean())
+        return math.sqrt(max(float(error.var()) - noise2, noise2 / len(error)))
+
+    @property
+    def _mean_deg(self) -> float:
+        """Return what the error goes to and fro about."""
+        recent = self._recent(_WANDER_S, _WANDER_AT_LEAST_S)
+        return self._latest_deg if recent is None else float(recent[1].mean())
 
     @property
     def worst_deg(self) -> float:
         """Return the largest error to expect from now on; nan while that cannot be told."""
         if wander_deg := self.wander_deg:
             # What goes to and fro has a slope at any moment, which does not last.
-            return abs(self.error_deg) + 2.0 * wander_deg
+            return abs(self._mean_deg) + 2.0 * wander_deg
         slope_dps = self.slope_dps
         if math.isnan(slope_dps):
             return math.nan
@@ -277,15 +302,14 @@ class OwnHeading:
         ekf = self.desk.state.ekf
         return ekf is not None and ekf.compass_variance == 0.0
 
-    def _recent(self, longest_s: float, least_s: float) -> tuple[FloatArray, FloatArray] | None:
-        """Return times before the last sample and errors, degrees; None where they span too little."""
+    def _recent(self, longest_s: float, least_s: float) -> FloatArray | None:
+        """Return times before the last sample, errors, sigmas, (3, N); None where they span too little."""
         if not self.samples:
             return None
-        time_s, error_deg = np.asarray(self.samples).T
-        recent = time_s >= time_s[-1] - longest_s
-        if time_s[-1] - time_s[recent][0] < least_s:
-            return None
-        return time_s[recent] - time_s[-1], error_deg[recent]
+        samples = np.asarray(self.samples).T
+        samples[0] -= samples[0, -1]
+        recent = samples[:, samples[0] >= -longest_s]
+        return None if -recent[0, 0] < least_s else recent
 
     # --- steps --------------------------------------------------------------------------------------
 
@@ -386,8 +410,7 @@ class OwnHeading:
         if world is None or self.result is None:
             return
         try:
-            error = yaw_error_rad(track, self.result, world, start_s, end_s, self._turned)
+            error, sigma = yaw_error_rad(track, self.result, world, start_s, end_s, self._turned)
         except (PoorCalibration, KeyError):
             return
-        self._latest_deg = math.degrees(error)
-        self.samples.append((end_s, self._latest_deg))
+        self.note(end_s, math.degrees(error), math.degrees(sigma))

@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from bent_vehicles import bent_vehicle, calibrated
 
 from mavcompass.cli.calibration.vehicle import say_outcome
 from mavcompass.cli.options import Output
 from mavcompass.frames import wrap_pi
+from mavcompass.procedure.autopilot_heading import OwnHeading
 from mavcompass.procedure.motion import Permissions
 from mavcompass.procedure.positions.proof import CompassProof, Proof
 from mavcompass.procedure.report import AutopilotHeading
@@ -158,3 +161,41 @@ def heading(before: float = -8.0, after: float = 1.0, worst: float = 1.5, **more
 def test_what_a_person_is_told_of_it(told: AutopilotHeading, off: bool, says: str) -> None:
     assert told.is_off is off and says in told.summary()
     assert told.known is math.isfinite(told.error_after_deg)
+
+
+def watched(rng: np.random.Generator, off_deg: float, wander_deg: float, noise_deg: float) -> OwnHeading:
+    """Watch for 20 s a yaw that is off by so much, goes to and fro in 10 s, and is seen with this noise."""
+    desk = SimpleNamespace(dialect=SimpleNamespace(loads_disarmed=True))
+    own = OwnHeading(desk, 2026.0, overrides=None)  # type: ignore[arg-type]
+    phase = rng.uniform(0.0, 2.0 * np.pi)
+    for time_s in np.arange(0.0, 20.0, 1.2):
+        swing = np.sqrt(2.0) * wander_deg * np.sin(0.2 * np.pi * time_s + phase)
+        own.note(float(time_s), float(off_deg + swing + rng.normal(0.0, noise_deg)), noise_deg)
+    return own
+
+
+@pytest.mark.parametrize("noise_deg", [0.1, 0.9])
+@pytest.mark.parametrize("wander_deg", [0.3, 1.0, 3.0])
+def test_how_far_it_wanders_is_told_whatever_the_noise(wander_deg: float, noise_deg: float) -> None:
+    rng = np.random.default_rng(7)
+    seen = [watched(rng, 0.5, wander_deg, noise_deg) for _ in range(60)]
+    told2 = np.mean([own.wander_deg**2 for own in seen])
+    assert np.sqrt(told2) == pytest.approx(wander_deg, rel=0.25, abs=0.15)
+    # The swing's ends are one and a half sigmas off: what is to be expected at the worst covers them.
+    worst = 0.5 + np.sqrt(2.0) * wander_deg
+    assert np.mean([own.worst_deg > 0.9 * worst for own in seen]) > (
+        0.95 if noise_deg < 0.5 * wander_deg else 0.6
+    )
+
+
+def test_noise_alone_keeps_no_autopilot_from_being_right() -> None:
+    """One that stands half a degree off is not told to be off because the compass shakes (limit: 1.8)."""
+    rng = np.random.default_rng(8)
+    worst = [watched(rng, 0.5, 0.0, 0.9).worst_deg for _ in range(100)]
+    assert np.mean(np.less(worst, 1.8)) > 0.9
+
+
+def test_what_it_is_off_now_is_told_better_than_by_the_latest_sample() -> None:
+    rng = np.random.default_rng(9)
+    told = [watched(rng, 0.5, 0.0, 0.9).error_deg - 0.5 for _ in range(100)]
+    assert np.sqrt(np.mean(np.square(told))) < 0.5

@@ -13,7 +13,7 @@ from mavcompass.procedure.modes import ModeKeeper
 from mavcompass.procedure.motion.calm import wait_until_calm
 from mavcompass.procedure.motion.readiness import Permissions, Readiness
 from mavcompass.procedure.motion.safety import MotionGuard, SafetyLimits
-from mavcompass.procedure.positions import HandMover, Mover, Rest, Standing, VehicleMover
+from mavcompass.procedure.positions import HandMover, Mover, Rest, VehicleMover
 from mavcompass.procedure.script import Context, Script
 from mavcompass.procedure.turning import (
     GyroAngle,
@@ -65,7 +65,7 @@ class Mobility:
         while self.state.heartbeat is None:
             yield context.now + 1.0
         if self.wishes.motion == "none":
-            self.mover = Standing()
+            self.mover = Mover()  # it stays where it stands
             return self.mover
         motion, armed, permissions = self.wishes.motion, self.state.armed, self.wishes.permissions
         if motion == "hand" and armed:

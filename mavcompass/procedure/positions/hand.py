@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from mavcompass.errors import LinkLost, PoorCalibration
 from mavcompass.frames import wrap_pi
-from mavcompass.procedure.positions.visiting import DwellSettings, Rest
+from mavcompass.procedure.positions.visiting import DwellSettings, Mover, Rest
 from mavcompass.procedure.script import Context, Script, pause
 from mavcompass.procedure.turning import GyroAngle
 
@@ -24,7 +24,7 @@ _SILENCE_S = 5.0
 
 
 @dataclass(slots=True)
-class HandMover:
+class HandMover(Mover):
     """Prompt a person who turns the vehicle.
 
     Attributes:
@@ -44,7 +44,6 @@ class HandMover:
     slope_patience_s: float = 15.0
     patience_s: float = 180.0
     visited_rad: list[float] = field(default_factory=list)
-    by_itself: bool = False
     _said: str = ""
     _said_s: float = -math.inf
 
@@ -114,13 +113,6 @@ class HandMover:
         self.visited_rad.append(turned_rad)
         context.show("taken", f"Position {len(self.visited_rad)} is taken.", cue=1.0)
         return True
-
-    def halt(self, context: Context) -> None:
-        """Do nothing: the person holds it."""
-
-    def release(self, context: Context) -> Script[None]:
-        """Do nothing: nothing was taken."""
-        yield from ()
 
     # --- which way ----------------------------------------------------------------------------------
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 from mavcompass.errors import Refused
-from mavcompass.procedure.positions.visiting import DwellSettings, Rest, wait_still
+from mavcompass.procedure.positions.visiting import Mover
 from mavcompass.procedure.script import Context, Script
 from mavcompass.procedure.turning import GyroAngle, TurnStrategy
 
@@ -20,12 +21,12 @@ _WRONG_WAY = (
 
 
 @dataclass(slots=True)
-class VehicleMover:
+class VehicleMover(Mover):
     """Let the vehicle turn itself; a strategy that does not move it is replaced by the next."""
 
     gyro: GyroAngle
+    by_itself: ClassVar[bool] = True
     strategies: Sequence[TurnStrategy]
-    by_itself: bool = True
     _current: int = 0
     _used: bool = False
     _moving: bool = False
@@ -52,18 +53,10 @@ class VehicleMover:
             "Put it into GUIDED, armed (a copter: flying), or turn it by hand with --motion hand.",
         )
 
-    def settle(self, context: Context, rest: Rest, settings: DwellSettings) -> Script[bool]:
-        """Wait for rest; see `wait_still`."""
-        return (yield from wait_still(context, rest, self, settings))
-
     def hold(self, context: Context, left_s: float) -> None:
         """Hold by the strategy in use."""
         if self._used and self._current < len(self.strategies):
             self.strategies[self._current].hold(context)
-
-    def accept(self, context: Context, turned_rad: float) -> bool:
-        """Take it: the gyro's angle is known, wherever it is."""
-        return True
 
     def halt(self, context: Context) -> None:
         """Halt by every strategy that was used; once, until the next turn."""

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from statistics import median
-from typing import Protocol
+from typing import ClassVar
 
 from mavcompass import messages as mav
 from mavcompass.calibration.observation import UNREST, StillnessDetector
@@ -151,64 +151,36 @@ class Rest:
         return 0.0 if self.still_since_s is None else self.time_s - self.still_since_s
 
 
-class Mover(Protocol):
-    """Bring the vehicle to its next position."""
+class Mover:
+    """Bring the vehicle to its next position; this one leaves it where it stands.
 
-    @property
-    def by_itself(self) -> bool:
-        """Tell whether the vehicle turns itself, as far and as often as it is asked."""
-        ...
+    Attributes:
+        by_itself: whether the vehicle turns itself, as far and as often as it is asked.
+    """
+
+    __slots__ = ()
+    by_itself: ClassVar[bool] = False
 
     def next(self, context: Context, angle_rad: float, remaining: int) -> Script[None]:
         """Turn by about `angle_rad`; the gyro's angle tells what came of it."""
-        ...
-
-    def settle(self, context: Context, rest: Rest, settings: DwellSettings) -> Script[bool]:
-        """Wait until the vehicle has rested for the settling time; False when it hunts on."""
-        ...
-
-    def hold(self, context: Context, left_s: float) -> None:
-        """Keep it there; called twice a second during a dwell that lasts another `left_s`."""
-        ...
-
-    def accept(self, context: Context, turned_rad: float) -> bool:
-        """Take the position where it dwelt; False where it does not count."""
-        ...
-
-    def halt(self, context: Context) -> None:
-        """Stop any motion now."""
-        ...
-
-    def release(self, context: Context) -> Script[None]:
-        """Give the vehicle back as it was taken."""
-        ...
-
-
-class Standing:
-    """Leave the vehicle where it stands."""
-
-    by_itself = False
-
-    def next(self, context: Context, angle_rad: float, remaining: int) -> Script[None]:
-        """Stay."""
         return nothing(None)
 
     def settle(self, context: Context, rest: Rest, settings: DwellSettings) -> Script[bool]:
-        """Wait for rest; see `wait_still`."""
+        """Wait until the vehicle has rested for the settling time; False when it hunts on."""
         return (yield from wait_still(context, rest, self, settings))
 
     def hold(self, context: Context, left_s: float) -> None:
-        """Do nothing: it stands by itself, as it does for all below."""
+        """Keep it there; called twice a second during a dwell that lasts another `left_s`."""
 
     def accept(self, context: Context, turned_rad: float) -> bool:
-        """Take it."""
+        """Take the position where it dwelt; False where it does not count."""
         return True
 
     def halt(self, context: Context) -> None:
-        """Do nothing."""
+        """Stop any motion now."""
 
     def release(self, context: Context) -> Script[None]:
-        """Do nothing."""
+        """Give the vehicle back as it was taken."""
         return nothing(None)
 
 

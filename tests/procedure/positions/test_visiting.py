@@ -11,7 +11,7 @@ import pytest
 
 from mavcompass import messages as mav
 from mavcompass.errors import LinkLost, Refused
-from mavcompass.procedure.positions import DwellSettings, Rest, VehicleMover, Window, dwell, visit
+from mavcompass.procedure.positions import DwellSettings, Mover, Rest, VehicleMover, Window, dwell, visit
 from mavcompass.procedure.positions.visiting import (
     _next_turn,
 )
@@ -34,7 +34,7 @@ def imu(time_s: float, yaw_rate_deg_s: float = 0.0, jitter: int = 0) -> mav.Inco
 
 
 @dataclass
-class Mover:
+class Obedient(Mover):
     """Wait for rest; turn the gyro's angle as far as is asked for, times a share."""
 
     gyro: GyroAngle
@@ -63,21 +63,16 @@ class Mover:
         self.refused -= 1
         return self.refused < 0
 
-    def halt(self, context: Context) -> None: ...
-
-    def release(self, context: Context) -> Script[None]:
-        yield from nothing(None)
-
 
 def dwelt(
     settings: DwellSettings | None = None,
     sureness: Callable[[float, float], float] | None = None,
     heard: Callable[[float], mav.Incoming | None] = imu,
     resting: bool = True,
-) -> tuple[float, Mover, GyroAngle]:
+) -> tuple[float, Obedient, GyroAngle]:
     """Dwell once; return how long it took, by the vehicle's clock."""
     rest, gyro = Rest(), GyroAngle()
-    mover = Mover(gyro, resting=resting)
+    mover = Obedient(gyro, resting=resting)
 
     def script(context: Context) -> Script[Window]:
         context.listeners += [rest.hear, gyro.hear]
@@ -219,7 +214,7 @@ def visited(mover: Mover, count: int = 4, step_deg: float = 90.0, seen: tuple[Wi
 
 
 def test_four_positions_are_visited_with_three_turns() -> None:
-    mover = Mover(GyroAngle())
+    mover = Obedient(GyroAngle())
     shown = visited(mover)
     assert mover.turns_deg == pytest.approx([90.0] * 3)
     assert mover.done == [
@@ -238,12 +233,12 @@ def test_four_positions_are_visited_with_three_turns() -> None:
 
 
 def test_a_position_that_does_not_count_is_visited_again() -> None:
-    mover = Mover(GyroAngle(), refused=1)
+    mover = Obedient(GyroAngle(), refused=1)
     assert visited(mover, 2)[-1] == "2" and len(mover.turns_deg) == 1
 
 
 def test_a_fifth_position_lies_half_a_step_between() -> None:
-    mover = Mover(GyroAngle(angle_rad=270.0 * DEG))
+    mover = Obedient(GyroAngle(angle_rad=270.0 * DEG))
     seen = tuple(Window(10.0 * k, 10.0 * k + 2.0, 90.0 * k * DEG) for k in range(4))
     shown = visited(mover, 4, 90.0, seen)
     assert shown[-1] == "5" and mover.turns_deg == pytest.approx([45.0])
