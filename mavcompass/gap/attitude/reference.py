@@ -249,13 +249,6 @@ def _fused(
     smoothed = smoothed_attitude(sensed, rotation, resting, heard, witness)
     if not smoothed.borne_out:
         return _fused(track, time_s, choice, instance, doubted, listening=False)
-    if not believable(smoothed, resting) and witness is not None and math.isinf(witness.constant_rad):
-        # An autopilot that believes a bent compass leans the wrong way when it accelerates.
-        alone = started(sensed, resting, velocity, None) if start.bearing else start
-        first = alone if alone.bearing else start
-        without = smoothed_attitude(sensed, first.rotation, resting, heard, None)
-        if believable(without, resting):
-            smoothed = without
     known = resting
     if not believable(smoothed, resting):
         # No healthy gyro then: let it say how far it is off.

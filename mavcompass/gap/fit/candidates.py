@@ -100,10 +100,8 @@ class Candidates:
             residual = residual + shift
             parts += self._add(base.terms[place], base.thetas[place], own, shift)
         others = [t for t in terms if t.effect.id not in kept and t.effect.kind != "discrete"]
-        parts += self._begin_at_nothing([t for t in others if not self._is_guessed(t)], states)
         for term in others:
-            if self._is_guessed(term):
-                parts += self._begin(term, states)
+            parts += self._begin(term, states)
         offset = problem.prior.mean - np.concatenate(base.nuisance_thetas) if n else np.zeros(0)
         columns, known_count = np.hstack(parts), known.shape[1]
         # The equations copy the columns once more: these need not stay meanwhile.
@@ -122,27 +120,6 @@ class Candidates:
         own = (REFERENCE_YAW, WORLD_FIELD.id)
         parts = [np.full(n.mean.size, n.effect.id in own) for n in self.problem.nuisances]
         return np.concatenate(parts) if parts else np.zeros(0, dtype=np.bool_)
-
-    def _is_guessed(self, term: Term) -> bool:
-        """Tell whether an effect begins at other values than those with which it does nothing."""
-        return term.effect.starts is not None or term.effect.id in self.base.ids
-
-    def _begin_at_nothing(self, terms: Sequence[Term], states: list[Signals]) -> list[FloatArray]:
-        """Linearise effects where they do nothing yet, beside the base with its `states`; return their
-        columns."""
-        iron, fit = self.problem.replay.iron.offset_mgauss, self.base
-        places = [(t, theta) for t in terms for theta in placements(t.effect, t.effect.neutral(), iron)]
-        if not places:
-            return []
-        composition = self.problem.composition
-        changes = composition.changes_beside(fit.terms, fit.thetas, fit.nuisance_thetas, states, places)
-        ends = np.cumsum([np.count_nonzero(term.free) for term, _ in places])
-        columns = np.split(self.problem.whitened(changes), ends[:-1], axis=1)
-        parts = list[FloatArray]()
-        for (term, theta), own in zip(places, columns, strict=True):
-            if np.isfinite(own).all():
-                parts += self._add(term, theta, own, None)
-        return parts
 
     def _begin(self, term: Term, before: list[Signals]) -> list[FloatArray]:
         """Linearise an effect at each of its first guesses, beside the base without it; return its columns.

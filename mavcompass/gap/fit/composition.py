@@ -75,14 +75,6 @@ class Derivatives:
             part = self._by_parameters(effect, theta, free, at, then)
         self._add(part, then)
 
-    def as_it_begins(self, effect: Effect, theta: FloatArray, free: NDArray[np.int64]) -> None:
-        """Add the derivatives by the free parameters of another effect, that does nothing with what it
-        has."""
-        stage = effect.stage_at(theta)
-        at = sum(member.stage_at(self._thetas[place]) <= stage for member, place in self._order)
-        if free.size:
-            self._add(self._by_parameters(effect, theta, free, at, at), at)
-
     def changes(self) -> Changes:
         """Return all columns in the order in which they were added; nothing where there are none."""
         if not self._parts:
@@ -296,15 +288,4 @@ class Composition:
         derivatives = Derivatives(self.replay, order, everything, states)
         for place in wanted:
             derivatives.by_member(places[place], self.free(terms, place))
-        return derivatives.changes()
-
-    def changes_beside(
-        self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray],
-        states: list[Signals], others: Sequence[tuple[Term, FloatArray]],
-    ) -> Changes:  # fmt: skip
-        """Return the derivatives by the free parameters of others that do nothing yet, in their order."""
-        everything = [*nuisance_thetas, *thetas]
-        derivatives = Derivatives(self.replay, self._ordered(terms, everything), everything, states)
-        for term, theta in others:
-            derivatives.as_it_begins(term.effect, theta, np.flatnonzero(term.free))
         return derivatives.changes()

@@ -29,12 +29,9 @@ _CONVERGED = 0.02
 _TRIALS, _LEAST_DAMPING, _AS_EXPECTED = 4, 1e-3, 0.5
 # After a step by so few squared sigmas derivatives are as good as new.
 _SMALL = 4.0
-# The first nuisance, the world field, is linear; of the others a derivative is as good as new so near, and
-# serves to come nearer so far, in natural sizes.
-_NEAR, _FAR = 2.0, 12.0
-# Derivatives of so many fits are kept for others, for so many ways in which the compass may be mounted.
-_LENT, _MOUNTINGS = 8, 3
-_Mounting = tuple[float, ...]
+# The first nuisance, the world field, is linear; of the others a derivative is as good as new so near, in
+# natural sizes.
+_NEAR = 2.0
 # What errs together, in seconds.
 _LASTING_S = 10.0
 
@@ -68,8 +65,6 @@ class Problem:
         self._measured = {g: np.nan_to_num(group_values(replay.measured, g)) for g in self.groups}
         self._precision, self._scales = prior.precision, [n.effect.scale for n in prior.nuisances]
         self._bridge = bridge(replay.valid) if any(noise[g].moving.any() for g in self.groups) else None
-        # By how the compass is mounted, which turns all of them.
-        self._lent: dict[_Mounting, list[tuple[FloatArray, list[FloatArray]]]] = {}
         self._null: Fit | None = None
         self._ended: set[Fit] = set()
         self._prior = prior.mean
@@ -208,10 +203,6 @@ class Problem:
         """Tell whether a fit bends what is known of vehicle and place no further than by chance."""
         return self.chance_of_strain(fit) > CHANCE
 
-    def forget(self) -> None:
-        """Let go of the derivatives that fits lend each other."""
-        self._lent.clear()
-
     def null(self, near: Fit | None = None) -> Fit:
         """Fit the nuisances alone, from their means or from where another problem has them, as far as it
         does."""
@@ -253,23 +244,18 @@ class Problem:
         cost = self._cost(r, x, free, weak)
         damping = 1e-6
         normal = np.zeros((0, 0))
-        mounting = _mounting(terms, x[n:])
-        first, made_at = self._borrowed(mounting, x[:n])
-        borrowed, squared, own, ended = first is not None, None, None, False
+        first, made_at, own, ended = None, x[:n], None, False
         for _ in range(iterations):
-            if first is None or self._away(x[:n], made_at) > _FAR:
-                first = self.columns(terms, x[n:], x[:n], states, range(fitted))
-                made_at, borrowed = x[:n], False
-                self._lend(mounting, first, made_at)
+            if first is None or self._away(x[:n], made_at) > _NEAR:
+                first, made_at = self.columns(terms, x[n:], x[:n], states, range(fitted)), x[:n]
+                squared = first.T @ first
             if own is None:
                 own = self.columns(terms, x[n:], x[:n], states, range(n, n + len(terms)))
-            if squared is None or squared[0] is not first:
-                squared = first, first.T @ first
-            normal, gradient = self._equations(*squared, own, r, x, free, weak)
+            normal, gradient = self._equations(first, squared, own, r, x, free, weak)
             if not normal.size:
                 break
             # Where much is left, the noise is larger than stated, and so is what chance gains.
-            improved, least = False, _CONVERGED * max(1.0, cost / max(r.size, 1))
+            gained, least = 0.0, _CONVERGED * max(1.0, cost / max(r.size, 1))
             for _ in range(_TRIALS):
                 step = solve_within(normal, gradient, damping, *room(x, free, bounds))
                 expected = float(step @ (2.0 * gradient - normal @ step))
@@ -280,44 +266,22 @@ class Problem:
                 trial_r = self.residual(trial_states[-1].reading)
                 trial_cost = self._cost(trial_r, trial, free, weak)
                 if trial_cost < cost:
-                    improved = True
+                    gained = cost - trial_cost
+                    x, states, r, cost = trial, trial_states, trial_r, trial_cost
+                    damping *= 0.03 if gained > _AS_EXPECTED * expected else 1.0
                     break
                 damping = 30.0 * max(damping, _LEAST_DAMPING)
-            gained = 0.0
-            if improved:
-                gained = cost - trial_cost
-                x, states, r, cost = trial, trial_states, trial_r, trial_cost
-                damping *= 0.03 if gained > _AS_EXPECTED * expected else 1.0
             if gained >= least:
                 if expected > _SMALL or gained < _AS_EXPECTED * expected:
                     own = None
                 continue
-            if self._away(x[:n], made_at) <= _NEAR and (improved or not borrowed):
-                ended = True
-                break
-            # Perhaps the fault of derivatives made elsewhere: once more with its own.
-            first, own, damping = None, None, damping if improved else 1e-6
+            ended = True
+            break
         covariance = invert(normal) if normal.size else normal
         fit = Fit(terms, tuple(x[n:]), tuple(x[:n]), cost, covariance)
         if ended:
             self._ended.add(fit)
         return fit
-
-    def _borrowed(
-        self, mounting: _Mounting, thetas: list[FloatArray]
-    ) -> tuple[FloatArray | None, list[FloatArray]]:
-        """Return the derivatives by the nuisances that an earlier fit made nearby, or None."""
-        lent = self._lent.get(mounting, [])
-        away, nearest = min(
-            ((self._away(thetas, made_at), i) for i, (_, made_at) in enumerate(lent)), default=(np.inf, 0)
-        )
-        return lent[nearest] if away <= _FAR else (None, thetas)
-
-    def _lend(self, mounting: _Mounting, columns: FloatArray, made_at: list[FloatArray]) -> None:
-        near = [one for one in self._lent.pop(mounting, []) if self._away(made_at, one[1]) > _NEAR]
-        self._lent[mounting] = [*near, (columns, made_at)][-_LENT:]
-        if len(self._lent) > _MOUNTINGS:
-            self._lent.pop(next(iter(self._lent)))
 
     def _equations(
         self,
@@ -374,9 +338,3 @@ class Problem:
     def _bounds(self, terms: Sequence[Term]) -> list[tuple[FloatArray, FloatArray]]:
         known = [(n.effect.lower, n.effect.upper) for n in self.nuisances]
         return [*known, *((t.lower, t.upper) for t in terms)]
-
-
-def _mounting(terms: Sequence[Term], thetas: Sequence[FloatArray]) -> _Mounting:
-    """Return what of a hypothesis has no derivative."""
-    discrete = (theta for t, theta in zip(terms, thetas, strict=True) if t.effect.kind == "discrete")
-    return tuple(float(value) for theta in discrete for value in theta)

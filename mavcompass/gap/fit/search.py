@@ -20,7 +20,6 @@ from mavcompass.gap.fit.starts import (
     FEW_STEPS,
     facing,
     polished,
-    turn_alone,
     unbent,
 )
 from mavcompass.gap.tables import Kind
@@ -79,7 +78,6 @@ class Search:
         """Let go of all derivatives: what was explored stays."""
         self._candidates.clear()
         self._fits.clear()
-        self.problem.forget()
 
     def _null(self) -> Fit:
         if frozenset() not in self.explored:
@@ -107,8 +105,7 @@ class Search:
                 best = self._rounds(null, most, ())
         for turned in self._turned(null, best, turns):
             before = self.criteria.temper
-            alone = turn_alone(self.problem, turned)
-            rival = self._rounds(alone, most, alone.terms, turned)
+            rival = self._rounds(turned, most, turned.terms, turned)
             if self.criteria.score(rival) < self.criteria.score(best):
                 best = rival
             else:

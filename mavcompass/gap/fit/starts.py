@@ -85,14 +85,6 @@ def facing(problem: Problem, terms: Sequence[Term], beside: Fit, most_sse: float
     return out
 
 
-def turn_alone(problem: Problem, fit: Fit) -> Fit:
-    """Fit the turn of a set by itself."""
-    if len(fit.terms) == 1:
-        return fit
-    place = next(i for i, term in enumerate(fit.terms) if term.effect.kind == "discrete")
-    return problem.fit((fit.terms[place],), (fit.thetas[place],), fit.nuisance_thetas)
-
-
 def polished(problem: Problem, criteria: Criteria, fit: Fit, moments: bool = False) -> Fit:
     """Fit to convergence; look again for moments, places and frequencies beside the other effects, or for
     `moments` only."""

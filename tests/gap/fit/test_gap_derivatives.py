@@ -90,39 +90,6 @@ def test_each_derivative_is_the_difference_that_a_small_step_makes(
     assert column == told["mag"].shape[2]
 
 
-@pytest.mark.parametrize(
-    "names", [(), ("soft_iron",), ("low_pass", "clipping"), ("transport_lag", "eddy_current")]
-)
-def test_effects_that_do_nothing_yet_begin_beside_others_as_they_would_alone(names: tuple[str, ...]) -> None:
-    at = flight()
-    nuisances = prior_of(at, STATED).nuisances
-    composition, known = Composition(at, nuisances), [n.mean for n in nuisances]
-    terms = [make_term(catalogue()[name], at.signals) for name in names]
-    thetas = [
-        np.array([_WITH[t.effect.id].get(p.name, 0.0) for p in t.effect.parameters], dtype=np.float64)
-        for t in terms
-    ]
-    states = composition.states(terms, thetas, known)
-    begin = [
-        make_term(effect, at.signals)
-        for effect in catalogue().values()
-        if effect.kind == "mean" and effect.starts is None and effect.id not in names
-    ]
-    others = [(term, term.effect.neutral()) for term in begin if term.free.any()]
-    assert len(others) > 8
-    told = composition.changes_beside(terms, thetas, known, states, others)["mag"]
-    first = 0
-    for term, theta in others:
-        with_it = composition.states([*terms, term], [*thetas, theta], known)
-        last = len(known) + len(terms)
-        own = composition.changes([*terms, term], [*thetas, theta], known, with_it, [last])["mag"]
-        np.testing.assert_array_equal(with_it[-1].reading.mag_mgauss, states[-1].reading.mag_mgauss)
-        np.testing.assert_allclose(told[:, :, first : first + own.shape[2]], own, atol=1e-6, rtol=1e-9)
-        first += own.shape[2]
-    assert first == told.shape[2]
-    assert composition.changes_beside(terms, thetas, known, states, []) == {}
-
-
 @pytest.mark.parametrize("name", ["transport_lag", "hard_iron", "low_pass"])
 def test_what_is_held_has_no_derivative(name: str) -> None:
     """A delay beside the age of the telemetry, with which it is reckoned together, as anything else."""

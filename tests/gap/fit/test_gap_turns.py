@@ -7,7 +7,7 @@ import pytest
 
 from mavcompass.gap.fit.hypothesis import Fit, make_term
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.fit.starts import facing, turn_alone
+from mavcompass.gap.fit.starts import facing
 from mavcompass.gap.replay.nominal import replay
 from mavcompass.gap.replay.nuisance import Prior
 from mavcompass.gap.trial.cases import CASE_NOISE, Recipe, make_track
@@ -38,12 +38,3 @@ def test_a_turn_that_a_magnet_hides_is_seen_beside_the_magnet(turn: int) -> None
     assert beside.sse < 1.2 * noise < 0.01 * by_itself.sse
     # What may leave no less than there is without it is not fitted to its end.
     assert facing(problem, terms, magnet, 0.0) == []
-
-
-def test_the_turn_of_a_set_is_fitted_by_itself() -> None:
-    problem, magnet = problem_and_magnet(4)
-    terms = [make_term(registry.get("orientation"), problem.replay.signals)]
-    both = min(facing(problem, terms, magnet, np.inf), key=lambda f: f.sse)
-    alone = turn_alone(problem, both)
-    assert alone.ids == {"orientation"} and alone.theta("orientation") == 4.0
-    assert turn_alone(problem, alone) is alone
