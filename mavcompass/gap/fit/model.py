@@ -211,13 +211,6 @@ class Problem:
             self._null = self.fit((), (), (*have, *(n.mean for n in self.nuisances[len(have) :])))
         return self._null
 
-    def again(self, near: Fit) -> Fit:
-        """Fit the nuisances alone once more from where a hypothesis has them; keep what is better."""
-        other = self.fit((), (), near.nuisance_thetas)
-        if other.sse < self.null().sse:
-            self._null = other
-        return self.null()
-
     def refit(self, fit: Fit) -> Fit:
         """Fit the same hypothesis to the rows of this problem, from the values that it has; what came to its
         end here stays."""

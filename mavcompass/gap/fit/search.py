@@ -99,10 +99,6 @@ class Search:
         # A turn that leaves nothing, where nothing else comes near at once, needs no second look at others.
         if explained > min(_UNEXPLAINED * noise, _HOPEFUL * nearest):
             best = self._rounds(null, most, (), best)
-            if best.terms and self.problem.again(best).sse < null.sse - _AS_GOOD:
-                # Nothing was the best of its neighbourhood only: what helps must do so beside the better one.
-                null = self.explored[frozenset()] = self.problem.null()
-                best = self._rounds(null, most, ())
         for turned in self._turned(null, best, turns):
             before = self.criteria.temper
             rival = self._rounds(turned, most, turned.terms, turned)
@@ -110,20 +106,16 @@ class Search:
                 best = rival
             else:
                 self.criteria.temper = before
-        best = self._with_rivals(self.polished(best))
+        best = self.polished(best)
         other = self._beside_one(best)
         if other is not best:
-            other = self._with_rivals(self.polished(self._rounds(null, most, (), other)))
-            best = min(best, other, key=self.criteria.score)
+            other = self.polished(self._rounds(null, most, (), other))
+            best, other = sorted((best, other), key=self.criteria.score)
+        self.explored |= {other.ids: other, best.ids: best}
         return self._found(null, best)
 
     def _found(self, null: Fit, best: Fit) -> Found:
         return Found(unbent(self.problem, null), best, self.explored)
-
-    def _with_rivals(self, best: Fit) -> Fit:
-        self.explored[best.ids] = best
-        self._remember(self._rivals(best))
-        return best
 
     def _beside_one(self, best: Fit) -> Fit:
         """Return the best set that is seen beside the one effect that does best alone.
@@ -271,20 +263,6 @@ class Search:
             if size > len(best.terms) and self.criteria.grows(best, by_size[size]):
                 best = by_size[size]
         return best
-
-    def _rivals(self, best: Fit) -> list[Fit]:
-        """Fit what else could explain as much with as many effects, for the posterior."""
-        if best.is_turned:
-            return []
-        candidates = self._linearised(unbent(self.problem, best), ())
-        size = max(len(best.terms), 1)
-        sets = likeliest_sets(candidates, self.criteria, size).get(size, [])
-        empty = Fit((), (), (), np.inf)
-        return [
-            self._fitted(candidates, chosen, empty, FEW_STEPS)
-            for chosen in sets
-            if frozenset(c.term.effect.id for c in chosen) != best.ids
-        ]
 
     def _remember(self, fits: Iterable[Fit]) -> None:
         for fit in fits:
