@@ -5,7 +5,7 @@
 One small flight is written in each format, with what a clock, a parameter, a sensor, a writer or an attacker
 may put there: times that leap, stand still or go back, parameters that no compass has, numbers that are none,
 lengths and counts that lie, lines and tables without end, holes of gigabytes, pipes and devices. Each command
-runs in a process of its own under the budgets of `mavcompass.budgets`. Exit code 1 where one did not hold.
+runs in a process of its own under a budget. Exit code 1 where one did not hold.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ sys.path[:0] = [str(PROJECT), str(PROJECT / "scripts" / "campaigns")]
 
 from hostile_files import Flight, inputs, tlog  # noqa: E402
 
-from mavcompass import budgets  # noqa: E402
+# A command that reads a hostile recording, of three gigabytes or of none: processor time, and memory in all.
+HOSTILE_S, HOSTILE_MB = 10.0, 300.0
 
 
 def commands(path: Path, good: Path, work: Path) -> dict[str, list[str]]:
@@ -70,7 +71,7 @@ class Outcome:
     @property
     def wrong(self) -> bool:
         """Tell whether a budget or a promise did not hold."""
-        over = self.seconds > budgets.HOSTILE_S or self.megabytes > budgets.HOSTILE_MB
+        over = self.seconds > HOSTILE_S or self.megabytes > HOSTILE_MB
         silent = self.code in (2, 4) and not self.said
         return over or silent or self.code not in ALLOWED or "Traceback" in self.said
 

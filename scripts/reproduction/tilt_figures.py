@@ -1,4 +1,11 @@
-"""[Li et al.] Fig. 4 and 5: the azimuth error of a tilted two-axis compass, and the bound for a wrong Z."""
+"""[Li et al.] Fig. 4 and 5: the azimuth error of a tilted two-axis compass, and the bound for a wrong Z.
+
+The paper's axes: X forward, Z along the magnetometer's third axis, azimuth arctan(Y / X), which is
+clockwise from north only if Y counts to the LEFT (its text says right; with Y to the right the same
+formula gives minus the heading). Its roll theta and pitch phi turn the measured vector back to the
+horizontal, so they have the opposite sign of a right-handed rotation of the vehicle: theta = -roll
+and phi = -pitch for right-handed X forward, Y left, Z up, and equally for forward, right, down.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mavcompass.earth_field import earth_field
-from mavcompass.frames import wrap_pi
-from mavcompass.heading.two_axis import (
-    paper_azimuth,
-    paper_two_axis_azimuth,
-    vertical_error_bound_rad,
-)
+from mavcompass.frames import wrap_pi, wrap_two_pi
 
 Array = NDArray[np.float64]
 PAPER = {"largest error without compensation, deg": 22.0, "largest error with compensation, deg": 0.5}
@@ -25,6 +27,47 @@ AZIMUTH_RAD = math.radians(45.0)
 # The paper does not print what its sensors leave; a tilt error of 0.1 deg and 1 mG give its half degree.
 TILT_ERROR_RAD = math.radians(0.1)
 FIELD_ERROR_MGAUSS = 1.0
+
+
+def paper_azimuth(x: ArrayLike, y: ArrayLike) -> Any:
+    """Return the level two-axis azimuth (eq. 1 and 6), [0, 2 pi); atan2 in place of arctan(Y / X)."""
+    return wrap_two_pi(np.arctan2(y, x))
+
+
+def paper_vertical(x: ArrayLike, y: ArrayLike, length: ArrayLike, sign: float = 1.0) -> Any:
+    """Estimate the third axis from the field's length (eq. 2, printed again as eq. 3).
+
+    Z = sign sqrt(length^2 - X^2 - Y^2). The paper gives the positive root only; which one is right
+    depends on hemisphere and axes (`sign`). Where noise makes the difference negative, Z is 0.
+    """
+    left = np.asarray(length, float) ** 2 - np.asarray(x, float) ** 2 - np.asarray(y, float) ** 2
+    return sign * np.sqrt(np.maximum(left, 0.0))
+
+
+def paper_level_field(
+    x: ArrayLike, y: ArrayLike, z: ArrayLike, theta_rad: ArrayLike, phi_rad: ArrayLike
+) -> tuple[Array, Array, Array]:
+    """Turn a field to the horizontal by roll theta (eq. 4), then pitch phi (eq. 5): Xh, Yh, Zv."""
+    x, y, z = (np.asarray(v, dtype=np.float64) for v in (x, y, z))
+    theta, phi = np.asarray(theta_rad, float), np.asarray(phi_rad, float)
+    y_roll = y * np.cos(theta) + z * np.sin(theta)
+    z_roll = -y * np.sin(theta) + z * np.cos(theta)
+    x_level = x * np.cos(phi) - z_roll * np.sin(phi)
+    return x_level, y_roll, x * np.sin(phi) + z_roll * np.cos(phi)
+
+
+def paper_two_axis_azimuth(
+    x: ArrayLike,
+    y: ArrayLike,
+    theta_rad: ArrayLike,
+    phi_rad: ArrayLike,
+    length: ArrayLike,
+    sign: float = 1.0,
+) -> Any:
+    """Return the tilt-compensated azimuth of a two-axis compass (eq. 2, 4, 5, 6), [0, 2 pi)."""
+    z = paper_vertical(x, y, length, sign)
+    x_level, y_level, _ = paper_level_field(x, y, z, theta_rad, phi_rad)
+    return paper_azimuth(x_level, y_level)
 
 
 def draw(out: Path) -> dict[str, dict[str, Any]]:
@@ -90,9 +133,9 @@ def tilted_field(theta: Array, phi: Array) -> tuple[Array, Array, Array]:
 
 
 def bound() -> dict[str, Any]:
-    """State the paper's bound for a Z that is off by 2 mG where the horizontal field has 200."""
+    """State the paper's bound, atan(sqrt(2) dZ / H), for a Z that is off by 2 mG where H is 200."""
     return {
         "about": "azimuth error by 2 mG of Z at 200 mG horizontal",
-        "ours": {"bound, deg": math.degrees(vertical_error_bound_rad(2.0, 200.0))},
+        "ours": {"bound, deg": math.degrees(math.atan(math.sqrt(2.0) * 2.0 / 200.0))},
         "paper": {"bound, deg": 0.8},
     }
