@@ -30,6 +30,8 @@ _LARGEST: dict[str, float | tuple[float, ...]] = {
     # Shares; a table may hold percents or the widths of pulses in its place.
     **{"throttle": 65_535.0, "motors": 65_535.0},
 }
+# The autopilot's attitude rests on it: one that says nothing else is not one that was not recorded.
+_RESTED_ON = ("acc_mps2",)
 _INT16 = np.iinfo(np.int16)
 
 
@@ -80,7 +82,8 @@ def with_credible_readings(track: Track) -> Track:
         quantity = name.rpartition("_")[0] or name
         of = f"{count} of {out.size} readings of {quantity}"
         notes.append(f"Left out {of}: their numbers are beyond what any sensor can say.")
-        return Series.of(series.time_s[~out], series.values[~out]) if count < out.size else None
+        kept = Series.of(series.time_s[~out], series.values[~out])
+        return kept if len(kept) or name in _RESTED_ON else None
 
     kept = track.with_columns(credible)
     return replace(kept, notes=(*track.notes, *notes)) if notes else track

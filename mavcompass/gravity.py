@@ -26,7 +26,12 @@ def is_gravity(force_mps2: float) -> bool:
 
 
 def no_gravity(acc: Series | None) -> str:
-    """Say what is wrong where an accelerometer shows no gravity; empty where it does, or has no number."""
+    """Say what is wrong where an accelerometer shows no gravity; empty where it does, or has no number.
+
+    A series without readings is of one that said nothing that any sensor can say.
+    """
+    if acc is not None and not len(acc):
+        return "The accelerometer's numbers are beyond any sensor's throughout: nothing tells what is level."
     finite = np.zeros(0, dtype=bool) if acc is None else np.isfinite(acc.values).all(axis=1)
     if acc is None or not finite.any():
         return ""

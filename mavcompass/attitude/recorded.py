@@ -69,8 +69,9 @@ def _levels(
     flown: bool,
     steps: tuple[float, float],
 ) -> Levels:
+    trouble = no_gravity(acc)
     acc, gyro, attitude = _finite(acc), _finite(gyro), _finite(attitude)
-    if no_gravity(acc):
+    if trouble:
         found = _without_gyro(acc, attitude)
         time = found.down.time_s
         return Levels(found.down, Series.of(time, np.full(time.size, UNKNOWN_RAD)))

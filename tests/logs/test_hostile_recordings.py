@@ -114,7 +114,7 @@ def test_a_text_without_end_is_refused() -> None:
 
 
 @pytest.mark.parametrize("suffix", [".tlog", ".bin", ".log", ".ulg", ".csv"])
-@pytest.mark.parametrize("force", [0.0, -300.0])
+@pytest.mark.parametrize("force", [0.0, -300.0, -32768.0, 1e30])
 def test_what_shows_no_gravity_is_refused_by_every_door_that_needs_a_level(
     tmp_path: Path, files: ModuleType, suffix: str, force: float
 ) -> None:
