@@ -29,6 +29,7 @@ def write_report(report: CalibrationReport, path: Path) -> None:
         end = "Nothing written."
     facts = {
         "Vehicle": str(report.identity),
+        "Firmware and board": "not told" if report.vehicle is None else str(report.vehicle),
         "Duration": f"{report.duration_s:.0f} s",
         "Outcome": end,
     }

@@ -54,6 +54,11 @@ class _Balance(HTMLParser):
         assert self.open.pop() == tag
 
 
+def test_the_report_says_which_vehicle_and_firmware_it_is_about(html: str, report: CalibrationReport) -> None:
+    assert report.vehicle is not None and report.vehicle.firmware and report.vehicle.firmware in html
+    assert report.vehicle.uid in html and all(str(d) in html for d in report.vehicle.compasses)
+
+
 def test_the_report_is_one_well_formed_file_that_needs_nothing_else(html: str) -> None:
     page = _Balance()
     page.feed(html)
