@@ -16,7 +16,7 @@ from mavcompass.report.gap_figures import (
     tests_figure,
     waterfall_figure,
 )
-from mavcompass.report.gap_words import SHADES, VERDICTS, advice, figures_of, shrink_words
+from mavcompass.report.gap_words import RMS_OF, SHADES, VERDICTS, advice, figures_of, shrink_words
 from mavcompass.report.page import write_page
 from mavcompass.simulation.effects import catalogue
 
@@ -31,6 +31,7 @@ def write_gap_report(diagnosis: Diagnosis, path: Path) -> None:
         "Length": f"{diagnosis.duration_s:.0f} s, {diagnosis.samples} readings",
         "Compass": str(diagnosis.compass),
         "Attitude from": diagnosis.reference,
+        "Field and heading": RMS_OF,
     }
     if diagnosis.in_force is not None and (cured := diagnosis.in_force.words()) is not None:
         facts["The calibration in force cures"] = f"{cured}, part of the nominal simulation"

@@ -61,6 +61,8 @@ _REMEDIES = {
     "accel_scale": _IMU,
     "vibration_rectification": "Damp the autopilot's vibrations: it is not the compass",
 }
+# What the figures of field and heading are; those of a rehearsal are over the circle instead.
+RMS_OF = "figures are rms over the samples of the parts held out, not over the circle of headings"
 _COARSE_DEG = 3.0
 _ALIKE = 0.05  # shares of the gap that are no more apart are not told apart
 _UNITS = {"1": (1.0, ""), "rad": (math.degrees(1.0), "deg"), "degC": (1.0, "°C")}
@@ -248,7 +250,7 @@ def _places(places: Sequence[Place]) -> str:
 
 
 def _background(diagnosis: Diagnosis) -> list[str]:
-    lines = [f"  attitude from: {diagnosis.reference}"]
+    lines = [f"  attitude from: {diagnosis.reference}", f"  {RMS_OF}"]
     if diagnosis.in_force is not None and (cured := diagnosis.in_force.words()) is not None:
         lines.append(f"  the calibration in force cures: {cured}")
     if diagnosis.corrected_rms_mgauss is not None:
