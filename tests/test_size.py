@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 # At most so many lines now, and where they should get to. A number here falls with its room; who raises one
 # says why in the commit.
 LINES = {
-    "package gap": (15_090, 10_500),
+    "package gap": (15_120, 10_500),
     "package simulation": (8_080, 5_800),
     "package attitude calibration heading": (8_990, 5_400),
     "package vehicle messages mavlink enums.py": (8_530, 5_200),
@@ -19,7 +19,7 @@ LINES = {
     "package logs": (4_600, 3_600),
     "package cli": (4_160, 2_900),
     "package": (68_240, 46_500),
-    "tests": (43_290, 29_000),
+    "tests": (43_400, 29_000),
     "scripts": (8_910, 4_400),
 }
 

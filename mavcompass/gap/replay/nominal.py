@@ -155,7 +155,7 @@ def replay(
     picked = middles(rows.time_s.size, rows.width)
     whole = reference_attitude(track, rows.time_s, choice, instance, picked)
     told_mgauss = rows.raw_mgauss if rows.corrected_mgauss is None else rows.corrected_mgauss
-    field, sigma, field_notes = world_field(track, whole, told_mgauss)
+    field, sigma, field_notes = world_field(track, instance, rows.time_s, whole, told_mgauss)
     correction = calibration_in_force(compass)
     known = whole.known & rows.usable
     raw, corrected, usable, told_s = rows.raw_mgauss, rows.corrected_mgauss, rows.usable, 0.0

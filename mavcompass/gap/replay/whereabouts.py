@@ -13,8 +13,9 @@ from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, rotate
 from mavcompass.gap.attitude.receiver import local_position
 from mavcompass.gap.attitude.reference import Reference
+from mavcompass.gap.replay.rows import FEWEST_ROWS
 from mavcompass.simulation.physics.signals import Stimulus
-from mavcompass.track import Series, Track
+from mavcompass.track import Series, Track, uncut
 
 # Standard deviations of a path beside which the errors of a position are small.
 _LEAST_PATH_M, _LEAST_RECEIVED_PATH_M = 0.05, 1.5
@@ -26,6 +27,9 @@ _LEAST_RANGE = {"current": 0.5, "throttle": 0.05, "temperature": 3.0}
 UNKNOWN_SIGMA_MGAUSS = 300.0
 # What rocks and buildings add to the world model, as a share of the field.
 ANOMALY_SHARE = 0.01
+_LOCAL_SIGMA_MGAUSS = 0.7
+_STEADY_MGAUSS = 3.0
+_AGREES_MGAUSS = 8.0
 _YEAR_WHERE_UNKNOWN = 2026.5
 
 
@@ -79,13 +83,21 @@ def present_in(
 
 
 def world_field(
-    track: Track, reference: Reference, raw: FloatArray
+    track: Track, instance: int, time_s: FloatArray, reference: Reference, raw: FloatArray
 ) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
     """Return the field in NED, its sigma, and what to say about it."""
     if track.place is not None and np.isfinite(track.place.values).all(axis=1).any():
         lat, lon, alt = middle_place(track.place.values)
         year = decimal_year(track.utc_offset_s) if track.utc_offset_s else _YEAR_WHERE_UNKNOWN
         earth = earth_field(round(lat, 5), round(lon, 5), round(alt, 1), round(year, 3))
+        refined = _measured_by_others(track, instance, time_s, reference, earth.vector_mgauss)
+        if refined is not None:
+            note = "The vehicle's other compasses agree with the world model; they give the local field."
+            return (
+                refined,
+                np.array([_LOCAL_SIGMA_MGAUSS, earth.sigma_mgauss[1], _LOCAL_SIGMA_MGAUSS]),
+                (note,),
+            )
         return earth.vector_mgauss, _with_anomaly(earth.vector_mgauss, earth.sigma_mgauss, reference), ()
     rows = reference.known & np.isfinite(raw).all(axis=1)
     if not rows.any():
@@ -108,3 +120,30 @@ def _with_anomaly(field: FloatArray, sigma: Sequence[float], reference: Referenc
     """
     anomaly = 0.0 if reference.kind == "columns" else ANOMALY_SHARE * float(np.linalg.norm(field))
     return np.hypot(np.asarray(sigma), anomaly)
+
+
+def _measured_by_others(
+    track: Track, instance: int, time_s: FloatArray, reference: Reference, model: FloatArray
+) -> FloatArray | None:
+    """Return the local field as at least two other, calibrated compasses measure it.
+
+    They count where each sees a constant field and its level and vertical parts agree with the model's;
+    the declination stays the model's, since yaw may come from a compass.
+    """
+    seen = []
+    level = float(np.hypot(model[0], model[1]))
+    for number, compass in track.compasses.items():
+        if number == instance or not compass.correction_known or len(compass.reported) < FEWEST_ROWS:
+            continue
+        values = uncut(compass.reported.values, compass.quantum_mgauss * compass.truncated)
+        world = rotate(
+            reference.rotation[reference.known], Series.of(compass.time_s, values).at(time_s)[reference.known]
+        )
+        parts = np.array([np.median(np.hypot(world[:, 0], world[:, 1])), np.median(world[:, 2])])
+        spread = 1.4826 * np.median(np.abs(np.hypot(world[:, 0], world[:, 1]) - parts[0]))
+        if spread < _STEADY_MGAUSS and np.abs(parts - (level, model[2])).max() < _AGREES_MGAUSS:
+            seen.append(parts)
+    if len(seen) < 2 or float(np.ptp(np.array(seen), axis=0).max()) > 2.0 * _LOCAL_SIGMA_MGAUSS:
+        return None
+    horizontal, down = np.mean(seen, axis=0)
+    return np.array([model[0] * horizontal / level, model[1] * horizontal / level, down])
