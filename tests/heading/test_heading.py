@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import runpy
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,7 +25,6 @@ from mavcompass.heading.deviation import fit_deviation
 from mavcompass.heading.two_axis import TwoAxisCompass
 from mavcompass.track import MagSeries, Series, Track
 
-PAPER = runpy.run_path(str(Path(__file__).parents[2] / "scripts" / "reproduction" / "tilt_figures.py"))
 FIELD = np.array([200.0, 0.0, 430.0])
 angles = st.floats(-3.1, 3.1)
 tilts = st.floats(-1.2, 1.2)
@@ -114,16 +111,6 @@ def test_two_axes_do_where_the_field_is_known(dip: float, roll: float, pitch: fl
 
 def test_a_negative_root_means_the_field_lies_in_the_sensors_plane() -> None:
     assert math.isfinite(two_axis_heading((300.0, 100.0), 0.1, 0.1, 300.0, 0.2))
-
-
-def test_the_papers_own_axes_and_signs() -> None:
-    """X forward, Y left, Z up, with theta = -roll and phi = -pitch: the azimuth is the heading."""
-    yaw, roll, pitch = math.radians(45.0), math.radians(10.0), math.radians(-7.0)
-    x, y, z = body(roll, pitch, yaw, FIELD)
-    # From forward-right-down to forward-left-up: Y and Z change sign, and so does the sense of pitch.
-    azimuth = PAPER["paper_two_axis_azimuth"](x, -y, -roll, pitch, float(np.linalg.norm(FIELD)), sign=-1.0)
-    assert azimuth == pytest.approx(yaw)
-    assert z > 0.0
 
 
 def test_the_fields_length_is_followed_while_level() -> None:
@@ -247,11 +234,3 @@ def test_half_a_tilt_is_none(tilt: dict[str, float]) -> None:
     assert tilt_compensated_heading(FIELD, [0.0, 0.0, -9.8], **tilt) == pytest.approx(0.0)
     with pytest.raises(ValueError, match="either"):
         tilt_compensated_heading(FIELD, [0.0, 0.0, -9.8], roll_rad=0.1, pitch_rad=0.1)
-
-
-@given(roll=tilts, pitch=tilts, yaw=angles)
-def test_the_papers_level_field_is_the_one_of_a_level_vehicle(roll: float, pitch: float, yaw: float) -> None:
-    x, y, z = body(roll, pitch, yaw, FIELD)
-    level = PAPER["paper_level_field"](x, -y, -z, -roll, pitch)
-    expected = (200.0 * math.cos(yaw), 200.0 * math.sin(yaw), -430.0)
-    assert [float(part) for part in level] == pytest.approx(expected, abs=1e-9)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import islice
 
+import numpy as np
 import pytest
 
+from mavcompass.earth_field import earth_field
 from mavcompass.errors import LinkLost, Refused
-from mavcompass.messages import GlobalPositionInt, ScaledImu2, ScaledImu3
+from mavcompass.messages import GlobalPositionInt, ScaledImu2, ScaledImu3, SystemTime
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.heading_stream import LiveHeading, headings
 from mavcompass.vehicle.links.simulated import SimulatedLink
@@ -19,11 +22,14 @@ class Listening(SimulatedLink):
 
     left_out: tuple[type, ...] = ()
     silent_from_s = math.inf
+    unix_s = 0.0
 
     def receive(self, timeout_s: float):  # type: ignore[no-untyped-def]
         heard = super().receive(timeout_s)
         if heard is None or isinstance(heard.message, self.left_out) or heard.time_s > self.silent_from_s:
             return None
+        if self.unix_s and isinstance(heard.message, SystemTime):
+            return replace(heard, message=replace(heard.message, time_unix_usec=round(1e6 * self.unix_s)))
         return heard
 
 
@@ -53,6 +59,16 @@ def test_it_points_where_the_nose_does(kind: str) -> None:
     times = [heading.boot_s for heading in found]
     assert times == sorted(set(times)), "each fresh message once"
     assert all(h.grid_rad is not None and 0.0 <= h.grid_rad < 2.0 * math.pi for h in found)
+
+
+def test_the_declination_is_the_dates() -> None:
+    link = listening()
+    link.unix_s = 59.0 * 31_556_952.0  # 2029
+    found = first(link)[-1]
+    place = np.array(link.autopilot.firmware.reports.place()) * (1e-7, 1e-7, 1e-3)
+    then = earth_field(*place, 2029.0).declination_rad  # 1.3e-3 rad more than in 2026
+    assert found.true_rad is not None
+    assert found.true_rad - found.magnetic_rad == pytest.approx(then, abs=1e-4)
 
 
 def test_two_axes_know_the_world_and_need_no_third() -> None:

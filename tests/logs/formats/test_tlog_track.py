@@ -374,13 +374,6 @@ def test_the_simulators_truth_fits_the_field_it_reports(shared_data: Path) -> No
     assert rms_deg(best_s) < 1.0
 
 
-def test_an_attitude_that_is_no_number_is_left_out(tmp_path: Path) -> None:
-    recording = Recording().fly(2.0).add(2.0, attitude(22.0, yaw=math.nan)).add(2.1, attitude(22.1, yaw=0.2))
-    track = read_track(recording.write(tmp_path / "a.tlog"))
-    assert track.attitude_rad is not None and len(track.attitude_rad) == 21
-    assert bool(np.isfinite(track.attitude_rad.values).all())
-
-
 def test_whole_numbers_of_the_imu_are_known_to_be_cut(tmp_path: Path) -> None:
     track = read_track(Recording().fly(2.0).write(tmp_path / "a.tlog"))
     assert track.acc_truncation_mps2 == pytest.approx(0.00980665)

@@ -54,6 +54,8 @@ def test_a_calibration_from_request_to_undo(running: RunningService) -> None:
     assert undo.status_code == 202
     undone = running.finish(undo.json())
     assert undone["ok"], undone["error"]
+    for lacking in ("report", "recording"):
+        assert running.client.get(f"/api/history/{undone['history_entry']}/{lacking}").status_code == 404
     restored = wait_for(lambda: running.client.get("/api/parameters").json().get("parameters"))
     for name in document["compasses"][0]["parameters"]:
         assert restored[name] == pytest.approx(before[name], abs=1e-5), name
