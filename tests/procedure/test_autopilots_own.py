@@ -155,6 +155,15 @@ def test_a_compass_whose_field_changes_fails_in_the_autopilot_and_is_refused(tmp
         own(link, tmp_path)
 
 
+def test_what_px4_could_not_do_is_why_nothing_is_written(tmp_path: Path) -> None:
+    link = on_the_bench("px4-copter")
+    link.person = None  # nobody turns it
+    before = values_of(link)
+    with pytest.raises(PoorCalibration, match=r"requires rotation\.$"):
+        own(link, tmp_path)
+    assert values_of(link) == before
+
+
 def test_from_a_recording_it_says_what_takes_its_place(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

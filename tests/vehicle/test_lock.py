@@ -48,6 +48,7 @@ def test_another_vehicle_is_not_held_nor_one_without_a_unique_id_at_another_addr
     with VehicleLock("tcp:here") as first, VehicleLock("tcp:there") as second:
         first.hold(MINE)
         second.hold(Nameplate("ardupilot", 2, MINE.uid))
+        second.hold(Nameplate("ardupilot", 1, os.urandom(8).hex()))
         first.hold(MUTE)
         second.hold(MUTE)
         with VehicleLock("tcp:here") as third, pytest.raises(Refused):

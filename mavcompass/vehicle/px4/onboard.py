@@ -86,7 +86,7 @@ def _until_done(context: Context, told: _Told) -> Script[str]:
             if text.startswith("calibration done"):
                 return ""
             if text.startswith(("calibration failed", "calibration cancelled")):
-                also = f" {told.other}." if told.other else ""
+                also = f" {told.other.rstrip('.')}." if told.other else ""
                 return f"The autopilot's own calibration failed: {text.partition(': ')[2] or text}.{also}"
             if found := _PROGRESS.search(text):
                 percent = int(found[1])

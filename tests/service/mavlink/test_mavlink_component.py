@@ -11,7 +11,7 @@ import pytest
 from mavcompass import messages as mav
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
-from mavcompass.enums import MagCalStatus, MavCmd, MavResult
+from mavcompass.enums import MagCalStatus, MavCmd, MavResult, MavSeverity
 from mavcompass.errors import Refused
 from mavcompass.heading.live import Heading, LiveCompass
 from mavcompass.procedure.script import Show
@@ -229,15 +229,17 @@ def test_the_pilot_is_told_of_a_finding_once_for_as_long_as_it_lasts() -> None:
     heard: list[mav.Message] = []
     vehicle.receive = lambda message, *_: heard.append(message)  # type: ignore[method-assign]
     dip, field = (
-        Finding(name, 1, "warning", f"Compass 1: {name}", "It is off.", "") for name in ("dip", "field")
+        Finding(name, 1, severity, f"Compass 1: {name}", "It is off.", "")
+        for name, severity in (("dip", "warning"), ("field", "bad"))
     )
     teller = Teller(ServiceConfig(), Desk(), Schedule())
     view = VehicleView(VehicleIdentity(1, 1, "ardupilot", "rover"), "rover", 2026.0)
     with SimulatedLink(vehicle) as link:
         for at_s, findings in enumerate(((), (dip,), (dip,), (field, dip), (field,), (field, dip))):
             teller.tell(link, view, findings, float(at_s))
-    told = [message.text for message in heard if isinstance(message, mav.Statustext)]
-    assert told == ["Compass 1: dip", "Compass 1: field", "Compass 1: dip"]
+    told = [(message.severity, message.text) for message in heard if isinstance(message, mav.Statustext)]
+    dip_told, field_told = (MavSeverity.WARNING, "Compass 1: dip"), (MavSeverity.ERROR, "Compass 1: field")
+    assert told == [dip_told, field_told, dip_told]
 
 
 @pytest.mark.parametrize(("true_rad", "told_deg"), [(1.5, 85.9), (None, 57.3)])
