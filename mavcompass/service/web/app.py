@@ -59,7 +59,7 @@ def build_app(
     history: History,
     gaps: Gaps,
     token: str,
-    is_alive: Callable[[], bool] = lambda: True,
+    is_alive: Callable[[], bool],
 ) -> Starlette:
     """Put the interface together."""
     api = Api(config, station, history, gaps, is_alive)
