@@ -129,6 +129,17 @@ def test_a_damaged_line_is_left_out_and_said(tmp_path: Path) -> None:
     assert any(note.startswith("3 damaged lines") and "line 8" in note for note in track.notes)
 
 
+def test_damage_at_the_beginning_is_made_up_for_by_what_comes_later_where_that_is_enough(
+    tmp_path: Path,
+) -> None:
+    good = [f"{k * 0.1:.1f},{k % 90}.5,{200 - k % 7}.25,-400.5" for k in range(60_000)]
+    rows = [f"time_s,{MAG}", *["x,,,"] * 6_000, *good]
+    track = read_track(write(tmp_path / "late.csv", "\n".join(rows) + "\n"))
+    assert len(track.compass(1).reported) == len(good) and track.notes[0].startswith("6000 damaged lines")
+    # One in ten is the most.
+    assert "line 2" in refused(tmp_path / "never.csv", "\n".join([*rows, *["x,,,"] * 1_000]) + "\n")
+
+
 def test_lines_are_counted_with_blank_ones_and_quoted_ones(tmp_path: Path) -> None:
     message = refused(tmp_path / "a.csv", f'time_s,{MAG}\n\n0,"1",2,3\n\n1,x,2,3\n')
     assert "line 5" in message

@@ -126,7 +126,7 @@ def _read_table(path: Path) -> _Table:
             raise BadRecording(f"{path} has the column {repeated or '(without a name)'} twice.", _REMEDY)
         if TIME not in header:
             raise BadRecording(f"{path} has no column {TIME}.", _REMEDY)
-        body = _Body(path, header)
+        body = _Body(path, header, path.stat().st_size)
         for number, text in _pieces(file, path):
             body.add(number, text)
     return body.table()
@@ -146,10 +146,11 @@ def _pieces(file: TextIO, path: Path) -> Iterator[tuple[int, str]]:
 
 
 class _Body:
-    """Collect the rows of a file: in bounded pieces, and only the columns that are known."""
+    """Collect the rows of a file of so many bytes: in bounded pieces, and only the columns that are known."""
 
-    def __init__(self, path: Path, header: tuple[str, ...]) -> None:
-        self._path, self._header = path, header
+    def __init__(self, path: Path, header: tuple[str, ...], size: int) -> None:
+        self._path, self._header, self._left = path, header, size
+        self._rows = 0
         self._kept = [place for place, name in enumerate(header) if name in KNOWN]
         self._values = GrowingArray(np.dtype(np.float64))
         self._bad = 0
@@ -168,6 +169,15 @@ class _Body:
                 -1, len(self._header)
             )
         self._values.append(values[:, self._kept].ravel())
+        self._rows += len(values)
+        self._left = max(self._left - len(text), 0)
+        # A row has a letter at least, and a comma or the line's end for each column.
+        self._refuse_damage(self._left // (len(self._header) + 1))
+
+    def _refuse_damage(self, more: int) -> None:
+        """Raise BadRecording where much is damaged, whatever the rows are that may still come."""
+        if self._first_bad is not None and self._bad > _MOST_BAD_LINES * (self._rows + self._bad + more):
+            raise self._first_bad
 
     def _lines(self, number: int, text: str) -> Iterator[list[float]]:
         """Parse what can be parsed line by line; those that cannot are left out and counted."""
@@ -184,9 +194,8 @@ class _Body:
         names = tuple(self._header[place] for place in self._kept)
         values = self._values.finish().reshape(-1, max(len(names), 1))
         notes: tuple[str, ...] = ()
+        self._refuse_damage(0)
         if self._first_bad is not None:
-            if self._bad > _MOST_BAD_LINES * (len(values) + self._bad):
-                raise self._first_bad
             notes += (f"{self._bad} damaged lines were left out. The first: {self._first_bad.what}",)
         if self._cut_off:
             notes = ("The last line is cut off; it was left out.", *notes)
