@@ -251,10 +251,11 @@ class OwnHeading:
 
         Where it goes to and fro, the latest sample counts as far as it is no noise.
         """
-        if not self.wander_deg > 0.0:
+        wander_deg, mean_deg = self.wander_deg, self._mean_deg
+        if not wander_deg > 0.0:
             return self._latest_deg
-        share = self.wander_deg**2 / (self.wander_deg**2 + self.samples[-1][2] ** 2)
-        return self._mean_deg + share * (self._latest_deg - self._mean_deg)
+        share = wander_deg**2 / (wander_deg**2 + self.samples[-1][2] ** 2)
+        return mean_deg + share * (self._latest_deg - mean_deg)
 
     @property
     def slope_dps(self) -> float:
