@@ -30,7 +30,7 @@ GONE_S = 2.0
 # A clock that falls back by more than this was started again; less is a late message.
 _REBOOT_S = 2.0
 _PREFERRED_SILENCE_S = 1.0
-_COURSE_UNKNOWN = 65535
+_UNKNOWN = 65535  # of course and speed, as GPS_RAW_INT has it
 _NEAR_1E7_DEG = 1_000_000  # a tenth of a degree, as GLOBAL_POSITION_INT counts
 
 
@@ -191,10 +191,17 @@ class VehicleView:
 
     # --- for the watch ------------------------------------------------------------------------------
 
+    @property
+    def over_ground(self) -> tuple[float | None, float]:
+        """Return course, true, radians, and speed, m/s, by the receiver; None and 0 where it tells none."""
+        gps = self.state.gps
+        if gps is None or gps.fix_type < 3 or gps.cog == _UNKNOWN:
+            return None, 0.0
+        return math.radians(gps.cog * 0.01), 0.0 if gps.vel == _UNKNOWN else gps.vel * 0.01
+
     def glance(self, time_s: float) -> Glance:
         """Return what the watch looks at."""
-        gps, battery = self.state.gps, self.state.battery
-        fixed = gps is not None and gps.fix_type >= 3 and gps.cog != _COURSE_UNKNOWN
+        battery, (course_rad, speed_mps) = self.state.battery, self.over_ground
         measured = battery is not None and battery.current_battery >= 0
         return Glance(
             time_s=time_s,
@@ -203,7 +210,7 @@ class VehicleView:
             rate_radps=self.level.rate_radps,
             tilt_sigma_rad=self.level.sigma_rad,
             kind=self.identity.kind,
-            course_rad=math.radians(gps.cog * 0.01) if fixed and gps is not None else None,
-            speed_mps=gps.vel * 0.01 if fixed and gps is not None and gps.vel != 65535 else 0.0,
+            course_rad=course_rad,
+            speed_mps=speed_mps,
             current_a=battery.current_battery * 0.01 if measured and battery is not None else None,
         )

@@ -24,7 +24,7 @@ _RAISE_S = 5.0
 _CLEAR_S = 10.0
 _CLEAR_BELOW = 0.7
 _BAD_ABOVE = 2.5  # times the limit
-_COURSE_SPEED_MPS = 1.5
+COURSE_SPEED_MPS = 1.5  # slower, the receiver's noise turns its course
 _AHEAD_KINDS = frozenset({"rover", "boat", "sub"})
 
 
@@ -352,7 +352,7 @@ def _finding(name: str, instance: int, value: float, limit: float) -> Finding:
 
 def _drives_straight_ahead(glance: Glance) -> bool:
     straight = abs(glance.rate_radps) < 0.1
-    return straight and glance.speed_mps > _COURSE_SPEED_MPS and glance.kind in _AHEAD_KINDS
+    return straight and glance.speed_mps > COURSE_SPEED_MPS and glance.kind in _AHEAD_KINDS
 
 
 def _wrap(angle_rad: float) -> float:

@@ -9,7 +9,7 @@ from mavcompass import __version__
 from mavcompass.heading.live import Heading
 from mavcompass.service.station import Station
 from mavcompass.service.view import VehicleView
-from mavcompass.service.watch import Finding
+from mavcompass.service.watch import COURSE_SPEED_MPS, Finding
 from mavcompass.service.work.learning import Lesson
 
 SCHEMA = "mavcompass.state/1"
@@ -29,11 +29,12 @@ def heading_json(heading: Heading) -> dict[str, Any]:
 
 
 def moment_json(station: Station) -> dict[str, Any]:
-    """Describe what changes quickly: headings, tilt, turned angle."""
+    """Describe what changes quickly: headings, tilt, turned angle, and the course where it moves."""
     view = station.view
     if view is None:
         return {"connected": False, "headings": [], "turned_deg": 0.0, "rate_dps": 0.0, "still": False}
-    level = view.level
+    level, (course_rad, speed_mps) = view.level, view.over_ground
+    moves = speed_mps > COURSE_SPEED_MPS
     headings = [c.latest for c in list(view.compasses.values()) if c.latest is not None]
     return {
         "connected": station.connected,
@@ -43,6 +44,7 @@ def moment_json(station: Station) -> dict[str, Any]:
         "roll_deg": round(math.degrees(level.roll_rad), 1),
         "pitch_deg": round(math.degrees(level.pitch_rad), 1),
         "still": abs(level.rate_radps) < 0.02,
+        "course_deg": None if course_rad is None or not moves else round(math.degrees(course_rad), 1),
     }
 
 

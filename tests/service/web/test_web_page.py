@@ -22,6 +22,7 @@ from running_service import RunningService, StartService, wait_for
 
 from mavcompass.service.config import HttpConfig
 from mavcompass.simulation.heading_error import heading_error_rms_deg, heading_errors_rad
+from mavcompass.simulation.physics.motion import Drive
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.simulated import SimulatedLink
 
@@ -141,6 +142,27 @@ def test_a_calibration_from_the_page_to_written_parameters(
     page.open(f"{running.service.url}api/history/1/report")
     assert "Compass calibration" in page.text("h1")
     look(page, "5-report", whole=True)
+    assert page.errors == []
+
+
+def test_what_drives_sees_its_course_beside_the_heading_and_its_field_beside_the_earths(
+    start_service: StartService, open_page: OpenPage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link = SimulatedLink.of("rover", seed=3, speed=4.0)
+    page, vehicle = open_page(start_service(link)), link.autopilot
+    assert isinstance(vehicle, SimulatedAutopilot)
+    assert page.run("document.querySelector('#moving').hidden"), "a course that nobody has is not shown"
+    monkeypatch.setattr(
+        type(vehicle.firmware.steering), "control", lambda *_: Drive(0.0, 3.0, motors_on=True)
+    )
+    page.wait("!document.querySelector('#moving').hidden")
+    truly_deg = math.degrees(vehicle.truth.yaw_rad) % 360.0
+    assert float(page.text("#course").rstrip("°")) == pytest.approx(truly_deg, abs=5.0)
+    assert page.run("document.querySelector('.r-course').getAttribute('visibility')") == "visible"
+    # From above and from the side: the vector now, where it was, and the Earth's.
+    for drawn in (".f-vector", ".f-trail", "#field .c-earth"):
+        assert page.run(f"document.querySelectorAll('{drawn}').length") == 2
+    look(page, "driving")
     assert page.errors == []
 
 

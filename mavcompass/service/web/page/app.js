@@ -1,11 +1,12 @@
 // The page: listens to the stream, draws, and asks the service to do things. No library, no build step.
 
-import { Circle, Rose } from "./draw.js";
+import { Circle, Field, Rose } from "./draw.js";
 import * as show from "./show.js";
 
 const $ = (id) => document.getElementById(id);
 const rose = new Rose($("rose"));
 const circle = new Circle($("circle"));
+const field = new Field($("field"));
 
 const page = { compass: 1, now: null, task: null, world: null, vehicle: null, drawn: null, oldest: null, trail: null };
 
@@ -194,7 +195,12 @@ function showNow() {
   showChoice(now?.headings ?? []);
   if (!heading) return;
   const degrees = heading.true_deg ?? heading.magnetic_deg;
-  rose.show(degrees, heading.sigma_deg);
+  // A course is true: beside a magnetic heading it would say nothing.
+  const course = heading.true_deg === null ? null : now.course_deg;
+  rose.show(degrees, heading.sigma_deg, course);
+  $("moving").hidden = course === null;
+  $("course").textContent = `${course?.toFixed(1)}°`;
+  field.show(heading, page.world);
   $("heading").textContent = String(Math.round(degrees) % 360).padStart(3, "0");
   $("north").textContent = heading.true_deg === null ? "magnetic" : "true";
   $("sigma").textContent = heading.sigma_deg.toFixed(heading.sigma_deg < 10 ? 1 : 0);

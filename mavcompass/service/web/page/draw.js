@@ -19,11 +19,13 @@ export class Rose {
     this.arc = element("path", { class: "r-arc" });
     this.card = element("g");
     for (const radius of [100, 74]) svg.append(element("circle", { r: radius, class: "r-ring" }));
+    this.course = element("path", { class: "r-course", d: "M0-100L5-112L-5-112Z" });
     svg.append(this.arc, this.card);
     for (let degrees = 0; degrees < 360; degrees += 10) this.tick(degrees);
     ["N", "NE", "E", "SE", "S", "SW", "W", "NW"].forEach((name, k) => this.name(name, 45 * k));
     svg.append(element("path", { class: "r-boat", d: "M0-34C13-16 13 6 11 30L-11 30C-13 6-13-16 0-34Z" }));
     svg.append(element("path", { class: "r-lubber", d: "M0-84L6-101L-6-101Z" }));
+    this.card.append(this.course);
     this.shown = null;
   }
 
@@ -42,7 +44,9 @@ export class Rose {
     this.card.append(element("text", { x, y, class: css, transform: `rotate(${degrees} ${x} ${y})` }, name));
   }
 
-  show(heading, sigma) {
+  show(heading, sigma, course) {
+    this.course.setAttribute("visibility", course === null ? "hidden" : "visible");
+    if (course !== null) this.course.setAttribute("transform", `rotate(${course})`);
     // Turn the short way round, also through north.
     const before = this.shown ?? heading;
     this.shown = before + (((heading - before) % 360) + 540) % 360 - 180;
@@ -62,6 +66,41 @@ const line = (points) => points.map((p, k) => `${k ? "L" : "M"}${p.map((v) => v.
 // Forward is up.
 const placing = (farthest, radius) => ([forward, right]) => [(right * radius) / farthest, (-forward * radius) / farthest];
 const far = (points) => Math.max(0, ...points.map(([f, r]) => Math.hypot(f, r)));
+
+// The last seconds, from above and from the side, against the Earth's field at this place.
+export class Field {
+  constructor(svg) {
+    this.svg = svg;
+    this.trail = [];
+  }
+
+  show({ instance, level_mgauss }, earth) {
+    if (this.instance !== instance) this.trail = [];
+    this.instance = instance;
+    this.trail = [...this.trail.slice(-149), level_mgauss];
+    const total = earth?.total_mgauss ?? 0, across = earth?.horizontal_mgauss ?? 0;
+    const farthest = Math.max(total, 50, ...this.trail.map((field) => Math.hypot(...field)));
+    const above = placing(farthest, 54), beside = ([forward, right, down]) => [
+      120 + (Math.hypot(forward, right) * 54) / farthest, (down * 54) / farthest];
+    const pieces = [];
+    for (const middle of [0, 120]) pieces.push(
+      element("line", { x1: middle - 58, x2: middle + 58, y1: 0, y2: 0, class: "c-axis" }),
+      element("line", { y1: -58, y2: 58, x1: middle, x2: middle, class: "c-axis" }));
+    if (earth) {
+      const [cx, cy] = beside([across, 0, Math.sqrt(total * total - across * across) * Math.sign(earth.dip_deg)]);
+      pieces.push(element("circle", { r: (54 * across) / farthest, class: "c-earth" }), element("circle", { cx, cy, r: 6, class: "c-earth" }));
+    }
+    for (const [place, middle] of [[above, 0], [beside, 120]]) {
+      const [cx, cy] = place(level_mgauss);
+      pieces.push(
+        element("path", { d: line(this.trail.map(place)), class: "f-trail" }),
+        element("line", { x1: middle, x2: cx, y1: 0, y2: cy, class: "f-vector" }),
+        element("circle", { cx, cy, r: 3, class: "c-now" }));
+    }
+    pieces.push(element("text", { x: 0, y: -61, class: "p-text" }, "ahead"), element("text", { x: 120, y: 67, class: "p-text" }, "down"));
+    this.svg.replaceChildren(...pieces);
+  }
+}
 
 export class Circle {
   constructor(svg) {
