@@ -75,13 +75,14 @@ def deviation(result: CalibrationResult, ax: Axes | None = None) -> Axes:
 
 
 def residuals(result: CalibrationResult, ax: Axes | None = None) -> Axes:
-    """Draw what the fit leaves over at each position, as a heading, within the predicted sigma."""
+    """Draw what the fit leaves over at each position, if there were any, within the predicted sigma."""
     ax = _axes(ax)
     heading = np.arange(73) * 5.0
     sigma = sigma_deg(result, heading)
     ax.fill_between(heading, -sigma, sigma, color=_NEW, alpha=0.25, label="1 sigma")
     where, left_over = position_residuals_deg(result)
-    ax.plot(np.mod(where, 360.0), left_over, "o", color=_OLD, label="positions")
+    if len(where):
+        ax.plot(np.mod(where, 360.0), left_over, "o", color=_OLD, label="positions")
     _over_the_circle(ax, "residual, deg", "What the fit leaves over")
     ax.legend()
     return ax
