@@ -122,15 +122,6 @@ def test_it_is_deterministic(loaded: Track, diagnosis: Diagnosis) -> None:
     assert replace(other, seconds=one.seconds) == one
 
 
-def test_the_command_writes_its_document(tmp_path: Path) -> None:
-    log, out = tmp_path / "log.csv", tmp_path / "out.json"
-    write_track_csv(make_track(Recipe("yaw-steps", duration_s=30.0, seed=4)), log)
-    run = CliRunner().invoke(command, ["rehearse", str(log), "--draws", "20", "--json", str(out)])
-    assert run.exit_code == 0, run.output
-    document = json.loads(out.read_text())
-    assert document["schema"] == "mavcompass.gap-rehearsal/1" and document["draws"] == 20
-
-
 def test_a_stored_diagnosis_is_rehearsed_like_the_one_just_made(loaded: Track, tmp_path: Path) -> None:
     log, stored = tmp_path / "log.csv", tmp_path / "gap.json"
     write_track_csv(loaded, log)
@@ -140,8 +131,11 @@ def test_a_stored_diagnosis_is_rehearsed_like_the_one_just_made(loaded: Track, t
     read = read_stored(stored)
     assert read.recording == log
     assert rehearse(track, read, draws=4).errors == rehearse(track, fresh, draws=4).errors
-    run = CliRunner().invoke(command, ["rehearse", str(stored), "--draws", "20"])
+    out = tmp_path / "out.json"
+    run = CliRunner().invoke(command, ["rehearse", str(stored), "--draws", "20", "--json", str(out)])
     assert run.exit_code == 0 and "motor_current" in run.output
+    document = json.loads(out.read_text())
+    assert document["schema"] == "mavcompass.gap-rehearsal/1" and document["draws"] == 20
 
     log.write_text(log.read_text() + "\n")
     with pytest.raises(UsageError, match="not the recording"):
