@@ -13,14 +13,14 @@ LINES = {
     "package gap": (15_120, 10_500),
     "package simulation": (8_080, 5_800),
     "package attitude calibration heading": (8_990, 5_400),
-    "package vehicle messages mavlink enums.py": (8_530, 5_200),
+    "package vehicle messages enums.py": (7_990, 5_200),
     "package procedure": (6_380, 4_400),
     "package service": (5_300, 4_100),
     "package logs": (4_600, 3_600),
     "package cli": (4_160, 2_900),
-    "package": (68_240, 46_500),
+    "package": (67_640, 46_500),
     "tests": (43_400, 29_000),
-    "scripts": (8_910, 4_400),
+    "scripts": (8_960, 4_400),
 }
 
 

@@ -11,28 +11,6 @@ from mavcompass.enums import MavCmd, MavResult
 from mavcompass.errors import NoReply
 from mavcompass.procedure.script import Context, Script, expect
 
-# Ids of the messages whose rates are asked for.
-MESSAGE_IDS: dict[type[mav.Message], int] = {
-    mav.Heartbeat: 0,
-    mav.SysStatus: 1,
-    mav.SystemTime: 2,
-    mav.GpsRawInt: 24,
-    mav.ScaledImu: 26,
-    mav.RawImu: 27,
-    mav.Attitude: 30,
-    mav.LocalPositionNed: 32,
-    mav.GlobalPositionInt: 33,
-    mav.RcChannels: 65,
-    mav.HighresImu: 105,
-    mav.ScaledImu2: 116,
-    mav.ScaledImu3: 129,
-    mav.Simstate: 164,
-    mav.MagCalProgress: 191,
-    mav.MagCalReport: 192,
-    mav.EkfStatusReport: 193,
-    mav.EstimatorStatus: 230,
-    mav.ExtendedSysState: 245,
-}
 # Where a third is lost each way half of the tries fail; twelve in a row are one case in 4000.
 TRIES = 12
 DISABLED_US = -1
@@ -147,7 +125,7 @@ class MessageRates:
 
     def interval_us(self, context: Context, kind: type[mav.Message]) -> Script[int | None]:
         """Ask how often a message is sent, in microseconds; None where no answer comes."""
-        number = MESSAGE_IDS[kind]
+        number = mav.message_id(kind)
         for _ in range(6 if self._tells_intervals else 2):
             context.send(
                 mav.CommandLong(
@@ -167,7 +145,7 @@ class MessageRates:
             yield from command(
                 context,
                 MavCmd.SET_MESSAGE_INTERVAL,
-                float(MESSAGE_IDS[kind]),
+                float(mav.message_id(kind)),
                 float(interval_us),
                 what=f"the rate of {kind.wire_name()}",
                 tries=tries,

@@ -13,7 +13,10 @@ from mavcompass.procedure.script import Context, Script
 from mavcompass.two_clocks import shared_id
 
 # AUTOPILOT_VERSION is asked for by its number, and of older firmware by a command of its own.
-_QUESTIONS = ((MavCmd.REQUEST_MESSAGE, 148.0), (MavCmd.REQUEST_AUTOPILOT_CAPABILITIES, 1.0))
+_QUESTIONS = (
+    (MavCmd.REQUEST_MESSAGE, float(mav.message_id(mav.AutopilotVersion))),
+    (MavCmd.REQUEST_AUTOPILOT_CAPABILITIES, 1.0),
+)
 # Where a third is lost each way half of the tries fail; eight in a row are one case in 250.
 _TRIES, _PATIENCE_S = 8, 0.5
 # Two autopilots answer one question at the same time, but for what a link delays.

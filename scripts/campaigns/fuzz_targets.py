@@ -20,7 +20,7 @@ from mavcompass.errors import MavCompassError  # noqa: E402
 from mavcompass.gap.rehearsal import read_stored  # noqa: E402
 from mavcompass.gap.result import SCHEMA as DIAGNOSIS_SCHEMA  # noqa: E402
 from mavcompass.logs import read_track  # noqa: E402
-from mavcompass.messages import Heartbeat, Incoming, ParamValue, RawImu, Statustext  # noqa: E402
+from mavcompass.messages import Heartbeat, Incoming, ParamValue, RawImu, Statustext, message_id  # noqa: E402
 from mavcompass.procedure.motion import SafetyLimits  # noqa: E402
 from mavcompass.procedure.motion.safety import MotionGuard  # noqa: E402
 from mavcompass.procedure.positions import Rest  # noqa: E402
@@ -45,7 +45,7 @@ from mavcompass.vehicle.parameters.files import read_parameter_file  # noqa: E40
 from mavcompass.vehicle.parameters.undo import load_record  # noqa: E402
 from mavcompass.vehicle.parameters.values import decode as decode_parameter  # noqa: E402
 from mavcompass.vehicle.transport import parse_address as parse_source  # noqa: E402
-from mavcompass.vehicle.wire import FrameParser, decode, encode, message_id  # noqa: E402
+from mavcompass.vehicle.wire import FrameParser, decode, encode  # noqa: E402
 
 Target = Callable[[bytes], object]
 _FOLDER = Path(tempfile.mkdtemp(prefix="fuzz", dir="/dev/shm" if os.path.isdir("/dev/shm") else None))

@@ -18,8 +18,8 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from mavcompass.mavlink.frame import SIGNATURE_BYTES
 from mavcompass.messages import Attitude
+from mavcompass.messages.frame import SIGNATURE_BYTES
 from mavcompass.vehicle.wire.framing import FrameWriter, split_frame
 from mavcompass.vehicle.wire.signing import Signing
 

@@ -13,7 +13,6 @@ from mavcompass import messages as mav
 from mavcompass.enums import MavCmd
 from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.procedure.check import CheckSettings, check
-from mavcompass.procedure.commands import MESSAGE_IDS
 from mavcompass.procedure.script import Machine, Show
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.vehicle import SimulatedAutopilot
@@ -74,9 +73,9 @@ def test_the_story_of_a_calibration(tmp_path: Path) -> None:
     # What it wants to hear, where it was not as fast already; at the end each is as it was.
     wanted = {mav.RawImu: 25.0, mav.Attitude: 10.0, mav.EkfStatusReport: 2.0, mav.SystemTime: 2.0}
     first = {number: intervals[0] for number, intervals in asked.items()}
-    assert set(first) & {MESSAGE_IDS[kind] for kind in wanted}
+    assert set(first) & {mav.message_id(kind) for kind in wanted}
     for kind, hz in wanted.items():
-        assert first.get(MESSAGE_IDS[kind], 1e6 / hz) == pytest.approx(1e6 / hz, abs=1.0)
+        assert first.get(mav.message_id(kind), 1e6 / hz) == pytest.approx(1e6 / hz, abs=1.0)
     assert all(intervals[-1] != intervals[0] for intervals in asked.values())
     positions = [dict(show.data) for show in shown if show.step == "dwell"]
     assert [data["position"] for data in positions] == [1.0, 2.0, 3.0, 4.0]

@@ -9,7 +9,7 @@ import pytest
 from mavcompass import messages as mav
 from mavcompass.enums import MavCmd, MavResult
 from mavcompass.errors import NoReply
-from mavcompass.procedure.commands import MESSAGE_IDS, MessageRates, command
+from mavcompass.procedure.commands import MessageRates, command
 from mavcompass.procedure.script import Context, Machine, Script, Send, Show, Tick
 
 STEP_S = 0.05
@@ -101,7 +101,7 @@ def test_a_command_is_repeated_with_more_patience_and_counted() -> None:
     assert isinstance(machine.error, NoReply) and "COMPONENT_ARM_DISARM (12 tries)" in machine.error.what
 
 
-RAW, ATTITUDE = MESSAGE_IDS[mav.RawImu], MESSAGE_IDS[mav.Attitude]
+RAW, ATTITUDE = mav.message_id(mav.RawImu), mav.message_id(mav.Attitude)
 
 
 def asked(rates: MessageRates, vehicle: Vehicle, **hz: float) -> dict[type[mav.Message], bool]:

@@ -14,7 +14,6 @@ from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
 from mavcompass.enums import MavCmd
 from mavcompass.errors import Refused
-from mavcompass.procedure.commands import MESSAGE_IDS
 from mavcompass.procedure.learnt import LearntSettings, write_learnt
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Context, Machine, Script
@@ -90,14 +89,14 @@ def test_the_messages_that_tell_the_heading_are_asked_for_and_put_back() -> None
     ground.writes(LearntSettings(rate_hz=20.0))
     asked = {number for number, _ in ground.rates(MavCmd.GET_MESSAGE_INTERVAL)}
     kinds = (mav.RawImu, mav.Attitude, mav.EkfStatusReport, mav.SystemTime, mav.GlobalPositionInt)
-    assert {MESSAGE_IDS[kind] for kind in kinds} <= asked
+    assert {mav.message_id(kind) for kind in kinds} <= asked
     first, last = {}, {}
     for number, interval_us in ground.rates():
         first.setdefault(number, interval_us)
         last[number] = interval_us
     wanted = {mav.RawImu: 20.0, mav.Attitude: 10.0, mav.EkfStatusReport: 2.0, mav.SystemTime: 2.0}
     for kind, hz in wanted.items():
-        assert first.get(MESSAGE_IDS[kind], round(1e6 / hz)) == round(1e6 / hz)
+        assert first.get(mav.message_id(kind), round(1e6 / hz)) == round(1e6 / hz)
     assert first and all(last[number] != first[number] for number in first)
 
 

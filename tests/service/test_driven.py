@@ -9,7 +9,6 @@ import pytest
 from mavcompass import messages as mav
 from mavcompass.enums import MavCmd
 from mavcompass.messages import Incoming
-from mavcompass.procedure.commands import MESSAGE_IDS
 from mavcompass.procedure.vehicle_state import VehicleIdentity
 from mavcompass.service.config import LearningConfig, WatchConfig
 from mavcompass.service.view import VehicleView
@@ -36,7 +35,9 @@ class Driven:
         steered = type(vehicle.firmware.steering)
         monkeypatch.setattr(steered, "control", lambda _, dt_s: self.drive(dt_s))
         for kind_of, hz in RATES_HZ.items():
-            ask = mav.CommandLong(1, 1, MavCmd.SET_MESSAGE_INTERVAL, 0, float(MESSAGE_IDS[kind_of]), 1e6 / hz)
+            ask = mav.CommandLong(
+                1, 1, MavCmd.SET_MESSAGE_INTERVAL, 0, float(mav.message_id(kind_of)), 1e6 / hz
+            )
             vehicle.receive(ask, 255, 190)
         self.told: set[str] = set()
 

@@ -26,6 +26,7 @@ from mavcompass.messages import (
     ParamValue,
     RawImu,
     ScaledImu,
+    message_id,
 )
 from mavcompass.procedure.script import Context, Machine, Script, pause, request
 from mavcompass.procedure.vehicle_state import VehicleIdentity, find_vehicle
@@ -33,7 +34,6 @@ from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.driver import run
 from mavcompass.vehicle.link import Link
 from mavcompass.vehicle.opening import open_link
-from mavcompass.vehicle.wire import message_id
 
 T = TypeVar("T")
 KINDS = ("rover", "copter", "px4-copter")

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 from mavcompass import messages as mav
 from mavcompass.enums import COMPONENT_AUTOPILOT, MavCmd
-from mavcompass.procedure.commands import MESSAGE_IDS
 
 _JUDGE_EVERY_S = 1.0
 _ENOUGH = 0.6  # of the wanted rate: links lose messages, and autopilots round intervals
@@ -81,6 +80,6 @@ def _set_interval(kind: type[mav.Message], interval_us: int, system: int) -> mav
         system,
         COMPONENT_AUTOPILOT,
         MavCmd.SET_MESSAGE_INTERVAL,
-        param1=float(MESSAGE_IDS[kind]),
+        param1=float(mav.message_id(kind)),
         param2=float(interval_us),
     )

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from enum import IntFlag
 
 from mavcompass.enums import MavFrame
-from mavcompass.messages import Quaternion, SetAttitudeTarget, SetPositionTargetLocalNed
+from mavcompass.messages import SetAttitudeTarget, SetPositionTargetLocalNed
 from mavcompass.simulation.autopilot import Board, Ignore, Target, wrap_angle
 
 _BODY_FRAMES = (MavFrame.BODY_NED, MavFrame.BODY_OFFSET_NED)
@@ -20,7 +21,7 @@ class IgnoreAttitude(IntFlag):
     ATTITUDE = 128
 
 
-def yaw_of(q: Quaternion) -> float:
+def yaw_of(q: Sequence[float]) -> float:
     """Return the yaw of a quaternion (w, x, y, z)."""
     w, x, y, z = q
     return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

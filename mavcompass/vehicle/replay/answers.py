@@ -16,10 +16,10 @@ from mavcompass.messages import (
     ParamRequestRead,
     ParamSet,
     ParamValue,
+    message_id,
 )
 from mavcompass.vehicle.links.autopilot import Played, SaidMessage
 from mavcompass.vehicle.replay.contents import Contents
-from mavcompass.vehicle.wire import message_id
 
 _MESSAGE_INTERVAL = 244
 # A request for the recorded rate is not refused because the recording lost some messages.

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from mavcompass.enums import MavAutopilot, MavType
 from mavcompass.errors import BadRecording
-from mavcompass.messages import Attitude, CommandAck, Heartbeat, ParamValue, SystemTime
+from mavcompass.messages import Attitude, CommandAck, Heartbeat, ParamValue, SystemTime, message_id
 from mavcompass.two_clocks import shared_id
 from mavcompass.vehicle.link import LinkStatistics
 from mavcompass.vehicle.replay.tlog import tlog_frames
-from mavcompass.vehicle.wire import decode, message_id
+from mavcompass.vehicle.wire import decode
 
 # Nobody waits through the night between two power-ups.
 LONGEST_PAUSE_S = 10.0

@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 from mavcompass.errors import BadRecording, UsageError
 from mavcompass.files import require_file
-from mavcompass.mavlink.frame import FRAME_STARTS, LONGEST_FRAME
+from mavcompass.messages.frame import FRAME_STARTS, LONGEST_FRAME
 from mavcompass.vehicle.wire import wire_format
 from mavcompass.vehicle.wire.framing import Frame, checksum_is_right, frame_length, split_frame
 

@@ -35,13 +35,13 @@ from mavcompass.messages import (
     SysStatus,
     SystemTime,
     VfrHud,
+    message_id,
 )
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import DEG_PER_RAD, MGAUSS_PER_GAUSS, MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
 from mavcompass.vehicle.links.autopilot import SaidMessage
 from mavcompass.vehicle.replay.contents import Contents
 from mavcompass.vehicle.replay.track_parameters import first_parameters, parameter_changes, parameter_value
-from mavcompass.vehicle.wire import message_id
 
 _TYPES = {
     "rover": MavType.GROUND_ROVER,

@@ -1,6 +1,6 @@
 """MAVLink frames: bytes into messages and back."""
 
-from mavcompass.vehicle.wire.codec import decode, encode, kind_named, message_id, wire_format
+from mavcompass.vehicle.wire.codec import decode, encode, wire_format
 from mavcompass.vehicle.wire.framing import Frame, FrameParser, FrameWriter
 from mavcompass.vehicle.wire.signing import Signing
 
@@ -11,7 +11,5 @@ __all__ = [
     "Signing",
     "decode",
     "encode",
-    "kind_named",
-    "message_id",
     "wire_format",
 ]

@@ -5,42 +5,15 @@ Framing (headers, checksums, signatures) is in `framing`.
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, fields
-from functools import cache
 from operator import itemgetter
 from struct import Struct
 from typing import Any
 
-from mavcompass import messages
-from mavcompass.mavlink.dialect import Description, describe, message_ids
-from mavcompass.messages import Message
+from mavcompass.messages import Message, kind_named, message_id
 from mavcompass.messages.bits import bits_of_single, single_from_bits
-
-# Payload lengths of MAVLink 1, which knows no extension fields, where the dialect has such fields.
-# The dialect's Python does not mark them; a test compares these with its XML.
-BASE_LENGTHS = {
-    "SYS_STATUS": 31,
-    "AUTOPILOT_VERSION": 60,
-    "STATUSTEXT": 51,
-    "RAW_IMU": 26,
-    "SCALED_IMU": 22,
-    "SCALED_IMU2": 22,
-    "SCALED_IMU3": 22,
-    "HIGHRES_IMU": 62,
-    "SCALED_PRESSURE": 14,
-    "GPS_RAW_INT": 30,
-    "EKF_STATUS_REPORT": 22,
-    "FENCE_STATUS": 8,
-    "SERVO_OUTPUT_RAW": 21,
-    "COMMAND_ACK": 3,
-    "SET_ATTITUDE_TARGET": 39,
-    "RC_CHANNELS_OVERRIDE": 18,
-    "MANUAL_CONTROL": 11,
-    "MAG_CAL_REPORT": 44,
-}
-
+from mavcompass.messages.dialect import Description, describe
 
 # The first four bytes of these are a float in name only, see `messages.bits`.
 _BITS_FIRST = ("PARAM_VALUE", "PARAM_SET")
@@ -103,17 +76,6 @@ def _read(values: tuple[Any, ...], at: int, count: int, text: bool) -> Any:
     return values[at : at + count] if count else values[at]
 
 
-@cache
-def _kinds() -> dict[str, type[Message]]:
-    known = (thing for _, thing in inspect.getmembers(messages, inspect.isclass))
-    return {kind.wire_name(): kind for kind in known if issubclass(kind, Message) and kind is not Message}
-
-
-def kind_named(name: str) -> type[Message] | None:
-    """Look up a message's dataclass by the dialect's name, such as RAW_IMU."""
-    return _kinds().get(name)
-
-
 _FORMATS: dict[int, WireFormat] = {}
 
 
@@ -126,13 +88,13 @@ def wire_format(message_id: int) -> WireFormat | None:
 
 
 def _format_of(description: Description) -> WireFormat:
-    kind, payload = _kinds().get(description.name), description.payload
+    kind, payload = kind_named(description.name), description.payload
     places = tuple(_places(description, kind)) if kind is not None else ()
     numbers_only = all(not count and not text for _, _, count, text in places) and len(places) > 1
     return WireFormat(
         id=description.id,
         crc_extra=description.crc_extra,
-        base_length=BASE_LENGTHS.get(description.name, payload.size),
+        base_length=description.base_length,
         full_length=payload.size,
         kind=kind,
         _struct=payload,
@@ -154,16 +116,6 @@ def _places(description: Description, kind: type[Message]) -> list[tuple[str, in
         starts[field.name] = (at, 0 if field.is_text else field.count, field.is_text)
         at += 1 if field.is_text else max(field.count, 1)
     return [(field.name, *starts[field.name]) for field in fields(kind)]
-
-
-_IDS: dict[type[Message], int] = {}
-
-
-def message_id(kind: type[Message]) -> int:
-    """Return the number of a message's type."""
-    if kind not in _IDS:
-        _IDS[kind] = message_ids()[kind.wire_name()]
-    return _IDS[kind]
 
 
 def decode(message_id: int, payload: bytes) -> Message | None:

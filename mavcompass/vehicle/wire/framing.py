@@ -9,7 +9,8 @@ from mmap import mmap
 from struct import Struct
 from typing import Protocol
 
-from mavcompass.mavlink.frame import (
+from mavcompass.messages import Message
+from mavcompass.messages.frame import (
     CHECKSUM_BYTES,
     FLAGS_AT,
     FRAME_STARTS,
@@ -21,7 +22,6 @@ from mavcompass.mavlink.frame import (
     V1,
     V2,
 )
-from mavcompass.messages import Message
 from mavcompass.vehicle.wire.codec import encode, wire_format
 from mavcompass.vehicle.wire.signing import Signing
 

@@ -13,9 +13,8 @@ from unittest.mock import patch
 
 from fault_cells.scene import Carried, Fault, Scene, Step
 from mavcompass.enums import MavResult
-from mavcompass.mavlink.dialect import describe
-from mavcompass.messages import CommandAck, CommandLong, Message, ParamSet, ParamValue
-from mavcompass.vehicle.wire import message_id
+from mavcompass.messages import CommandAck, CommandLong, Message, ParamSet, ParamValue, message_id
+from mavcompass.messages.dialect import describe
 
 _ELSEWHERE, _ANOTHER = 42, 99
 _GROUND_STATION = (255, 190)

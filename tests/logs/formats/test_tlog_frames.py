@@ -15,7 +15,7 @@ from recorded_frames import Recording, attitude, frame, heartbeat, parameter, ra
 
 from mavcompass.logs.formats.tlog.frames import checksums
 from mavcompass.logs.formats.tlog.messages import ALL_FIELDS, TlogContents, read_messages, record_type
-from mavcompass.mavlink.dialect import describe, message_ids
+from mavcompass.messages.dialect import describe, message_ids
 
 TLOGS = (
     "ardupilot-4.6.3/copter_dist_use2.tlog",

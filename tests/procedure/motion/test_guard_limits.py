@@ -11,12 +11,10 @@ from mavcompass.enums import EkfFlag, MavState
 from mavcompass.errors import Refused
 from mavcompass.kinds import Kind
 from mavcompass.messages import Incoming
-from mavcompass.procedure.commands import MESSAGE_IDS
 from mavcompass.procedure.modes import ModeKeeper
 from mavcompass.procedure.motion.safety import MotionGuard
 from mavcompass.procedure.turning import GyroAngle
 from mavcompass.procedure.vehicle_state import VehicleState
-from mavcompass.vehicle.wire import message_id
 
 ARMED = mav.Heartbeat(type=10, autopilot=3, base_mode=128, custom_mode=15, system_status=4)
 HEALTHY = EkfFlag.ATTITUDE
@@ -173,7 +171,3 @@ def test_a_mode_that_px4_was_changed_to_is_named() -> None:
     assert guard.check(0.0) is None
     state.hear(Incoming(0.1, 1, 1, mav.Heartbeat(base_mode=128, custom_mode=3 << 16)))
     assert guard.check(0.1) == "The flight mode was changed to POSCTL."
-
-
-def test_the_rates_are_asked_for_by_the_dialects_numbers() -> None:
-    assert {kind: message_id(kind) for kind in MESSAGE_IDS} == MESSAGE_IDS

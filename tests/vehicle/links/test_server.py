@@ -20,12 +20,13 @@ from mavcompass.messages import (
     ParamSet,
     ParamValue,
     RawImu,
+    message_id,
 )
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.link import GROUND_STATION, Link
 from mavcompass.vehicle.opening import open_link
 from mavcompass.vehicle.transport import Reconnect, Tcp, UdpIn, UdpOut, open_transport
-from mavcompass.vehicle.wire import FrameWriter, message_id
+from mavcompass.vehicle.wire import FrameWriter
 
 
 def read_parameter(link: Link, name: str) -> float:

@@ -37,6 +37,7 @@ from mavcompass.messages import (
     ScaledImu,
     ScaledImu2,
     SysStatus,
+    message_id,
 )
 from mavcompass.track import InForce, MagSeries, Series, Track
 from mavcompass.vehicle.link import Link
@@ -45,7 +46,6 @@ from mavcompass.vehicle.opening import open_link
 from mavcompass.vehicle.replay import Alterations, ReplayedLink, replayed_autopilot
 from mavcompass.vehicle.replay.contents import LONGEST_PAUSE_S
 from mavcompass.vehicle.transport import Tcp
-from mavcompass.vehicle.wire import message_id
 
 VEHICLE = Heartbeat(type=MavType.GROUND_ROVER, autopilot=MavAutopilot.ARDUPILOTMEGA)
 STATION = Heartbeat(type=MavType.GCS, autopilot=MavAutopilot.INVALID)

@@ -11,11 +11,11 @@ import pytest
 from far_ends import write_tlog
 
 from mavcompass.enums import MavCmd
-from mavcompass.messages import Heartbeat, Message, ParamValue, RawImu
+from mavcompass.messages import Heartbeat, Message, ParamValue, RawImu, kind_named, message_id
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.autopilot import Autopilot
 from mavcompass.vehicle.replay import replayed_autopilot
-from mavcompass.vehicle.wire import encode, kind_named, message_id, wire_format
+from mavcompass.vehicle.wire import encode, wire_format
 
 REQUESTS = [
     "COMMAND_LONG",

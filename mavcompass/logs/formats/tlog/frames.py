@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.logs.common import ByteArray, Chunk, IntArray, not_overlapping, windows
-from mavcompass.mavlink import dialect
-from mavcompass.mavlink.frame import (
+from mavcompass.messages import dialect
+from mavcompass.messages.frame import (
     ADDRESS_AT_1,
     ADDRESS_AT_2,
     CHECKSUM_BYTES,

@@ -24,7 +24,7 @@ from mavcompass.logs.formats.tlog.frames import (
     Frames,
     find_frames,
 )
-from mavcompass.mavlink.dialect import Description, Field, describe, message_ids
+from mavcompass.messages.dialect import Description, Field, describe, message_ids
 
 Sender = tuple[int, int]
 ALL_FIELDS: tuple[str, ...] = ()

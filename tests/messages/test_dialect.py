@@ -10,7 +10,7 @@ from subprocess import run
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega
 
-from mavcompass.mavlink.dialect import crc_extras, describe, message_ids
+from mavcompass.messages.dialect import crc_extras, describe, message_ids
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "mavlink_messages.py"
 
@@ -35,13 +35,18 @@ def test_a_message_is_described_as_pymavlink_packs_it(name: str) -> None:
     assert {f.name for f in ours.fields if f.is_text} == set(texts)
 
 
+def test_what_type_checkers_are_told_of_messages_is_what_they_are() -> None:
+    script = runpy.run_path(str(SCRIPT))
+    assert script["STUB"].read_text("ascii") == script["stub"]()
+
+
 def test_an_unknown_message_has_no_description() -> None:
     assert describe(16_777_215) is None
 
 
 def test_pymavlink_is_not_loaded_for_it() -> None:
     """It takes half a second and a hundred megabytes."""
-    asks = "import sys; from mavcompass.mavlink.dialect import describe; describe(30); "
+    asks = "import sys; from mavcompass.messages.dialect import describe; describe(30); "
     out = run(
         [sys.executable, "-c", asks + "print('pymavlink' in sys.modules)"], capture_output=True, text=True
     )

@@ -12,21 +12,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from struct import Struct
+from struct import Struct, calcsize
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """Describe one field on the wire.
+    """Describe one field.
 
     Attributes:
         code: of its numbers, as `struct` spells it, "s" for text.
         count: elements of an array, bytes of a text, 0 for a single number.
+        is_extension: True for a field of version 2, which version 1 does not know.
     """
 
     name: str
     code: str
     count: int
+    is_extension: bool
 
     @property
     def is_text(self) -> bool:
@@ -36,16 +38,21 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Description:
-    """Describe one message: its number, its checksum's extra byte, its fields in the wire's order.
+    """Describe one message: its number and its checksum's extra byte.
 
-    The fields of version 2 (extensions) are among them, at the end.
+    Attributes:
+        declared: its fields as the protocol's definition lists them, those of version 2 (extensions) last.
+        fields: the same in the wire's order. payload: that as one struct.
+        base_length: bytes without the extensions, which version 1 does not know.
     """
 
     id: int
     name: str
     crc_extra: int
-    payload: Struct
+    declared: tuple[Field, ...]
     fields: tuple[Field, ...]
+    payload: Struct
+    base_length: int
 
 
 @cache
@@ -74,8 +81,15 @@ def describe(message_id: int) -> Description | None:
     if words is None:
         return None
     _, name, crc_extra, layout, *names = words
-    codes = re.findall(r"(\d*)([a-zA-Z])", layout)  # such as "<iih10HB16s"
-    fields = tuple(
-        Field(name, code, int(count or code == "s")) for name, (count, code) in zip(names, codes, strict=True)
+    codes = re.findall(r"(\|?)(\d*)([a-zA-Z])", layout)  # such as "BH10H|16s", extensions behind the bar
+    declared, extension = [], False
+    for field, (bar, count, code) in zip(names, codes, strict=True):
+        extension |= bool(bar)
+        declared.append(Field(field, code, int(count or code == "s"), extension))
+    # On the wire the largest numbers come first, but for extensions (MAVLink, "Field reordering").
+    base = sorted((f for f in declared if not f.is_extension), key=lambda f: -calcsize(f"<{f.code}"))
+    fields = (*base, *(f for f in declared if f.is_extension))
+    whole, short = ("<" + "".join(f"{f.count or ''}{f.code}" for f in some) for some in (fields, base))
+    return Description(
+        message_id, name, int(crc_extra), tuple(declared), fields, Struct(whole), calcsize(short)
     )
-    return Description(message_id, name, int(crc_extra), Struct(layout), fields)
