@@ -55,7 +55,7 @@ ROWS = {
         {"connection", "flying", "heading_stream", "session"},
         {"calibrating"},
         {"opening", "dialects", "driver"},
-        {"replay", "ardupilot", "px4"},
+        {"replay"},
         {"links", "simulators"},
         {"wire", "transport", "parameters"},
         {"link", "lock", "stopping"},

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Protocol
+from typing import Literal
 
 from mavcompass.calibration.result import OwnFinding
 from mavcompass.correction import IDENTITY, FieldCorrection
@@ -14,6 +15,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.messages import telemetry
 from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.script import Context, Script, nothing
+from mavcompass.steering import compasses_of
 from mavcompass.track_builder import TrackBuilder
 
 
@@ -79,61 +81,50 @@ SaveUndo = Callable[[ParameterPlan, Mapping[str, float], Nameplate], Path]
 CutShort = Callable[[Nameplate], Sequence[tuple[Mapping[str, float], Path, Callable[[], None]]]]
 
 
-class Dialect(Protocol):
-    """Speak one autopilot's parameters; all methods are scripts or pure."""
+class Dialect(ABC):
+    """Speak one autopilot's parameters; all methods are scripts or pure. `vehicle.dialects` has one for each.
 
-    @property
-    def autopilot(self) -> str:
-        """Return "ardupilot" or "px4"."""
-        ...
+    Attributes:
+        autopilot: its name.
+        loads_disarmed: True where what is written in flight is not in force before it is disarmed.
+        restart_wanted_by_own: True where, once its own calibration has begun, it arms only after a restart.
+    """
 
-    def arming_exemption(self, context: Context, said: Sequence[str]) -> Script[Mapping[str, float]]:
-        """Return the parameters that keep one arming check from looking at the compass's calibration.
+    autopilot: Literal["ardupilot", "px4"]
+    loads_disarmed: bool = False
+    restart_wanted_by_own: bool = False
 
-        `said` are the vehicle's texts since it was to arm; empty where they name anything beside that, or
-        nothing.
-        """
-        ...
-
-    def prompt_estimator(self, parameters: Mapping[str, float], flying: bool) -> Mapping[str, float]:
-        """Return parameters at which the estimator follows its compass within seconds; {} where none do."""
-        ...
-
-    @property
-    def loads_disarmed(self) -> bool:
-        """Tell whether a calibration that is written in flight is not in force before it is disarmed."""
-        ...
-
+    @abstractmethod
     def read_parameters(self, context: Context, names: Sequence[str]) -> Script[dict[str, float]]:
         """Read parameters by name; a name that the vehicle does not know is absent from the answer."""
-        ...
 
+    @abstractmethod
     def compass_parameters(self, context: Context) -> Script[dict[str, float]]:
         """Read everything about all compasses that a calibration and its checks need."""
-        ...
 
+    @abstractmethod
     def claim(self, context: Context, parameters: Mapping[str, float]) -> Script[Nameplate]:
         """Find out which vehicle this is, and hold it against other programs until the procedure ends.
 
         Raises Refused where another program works on it.
         """
-        ...
 
     def instances(self, parameters: Mapping[str, float], reporting: Iterable[int] = ()) -> tuple[int, ...]:
         """List the compasses that the vehicle has, from 1, given those that were heard."""
-        ...
+        return compasses_of(self.autopilot, parameters, reporting)
 
+    @abstractmethod
     def correction(self, parameters: Mapping[str, float], instance: int) -> FieldCorrection:
-        """Return the correction in force."""
-        ...
+        """Return the correction in force, in body axes."""
 
     def raw_rotation(self, parameters: Mapping[str, float], instance: int) -> FloatArray | None:
         """Return the sensor-to-body rotation where telemetry carries the uncorrected sensor's axes.
 
         None where the autopilot applies its correction before it reports.
         """
-        ...
+        return None
 
+    @abstractmethod
     def plan(
         self,
         parameters: Mapping[str, float],
@@ -147,14 +138,25 @@ class Dialect(Protocol):
         force; such a compass's correction is for raw readings in the new body axes. A mounting that the
         autopilot cannot hold is a refusal, in words.
         """
-        ...
 
+    @abstractmethod
     def write(self, context: Context, plan: ParameterPlan, save_undo: SaveUndo) -> Script[WriteOutcome]:
         """Write a plan: undo file first, each value read back, all undone on any failure.
 
         Raises WriteFailed where it could not be completed, saying what is left and what restores it.
         """
-        ...
+
+    @abstractmethod
+    def arming_exemption(self, context: Context, said: Sequence[str]) -> Script[Mapping[str, float]]:
+        """Return the parameters that keep one arming check from looking at the compass's calibration.
+
+        `said` are the vehicle's texts since it was to arm; empty where they name anything beside that, or
+        nothing.
+        """
+
+    def prompt_estimator(self, parameters: Mapping[str, float], flying: bool) -> Mapping[str, float]:
+        """Return parameters at which the estimator follows its compass within seconds; {} where none do."""
+        return {}
 
     def take_compass_yaw(
         self, context: Context, parameters: Mapping[str, float], flying: bool
@@ -163,24 +165,20 @@ class Dialect(Protocol):
 
         Returns how, in words that follow "by"; "" where it knows no such way as it is now.
         """
-        ...
+        return (yield from nothing(""))
 
     def load_written(self, context: Context, written: Mapping[str, float]) -> Script[str]:
         """Have an autopilot that `loads_disarmed`, and now is, load these parameters again.
 
         Returns how that brings its heading right, in words that follow "by"; "" where it does not.
         """
-        ...
+        return (yield from nothing(""))
 
-    @property
-    def restart_wanted_by_own(self) -> bool:
-        """Tell whether, once its own calibration has begun, it arms only after a restart."""
-        ...
-
+    @abstractmethod
     def changed_by_own(self, parameters: Mapping[str, float]) -> tuple[str, ...]:
         """List the parameters, of these, that its own calibration may change by itself."""
-        ...
 
+    @abstractmethod
     def calibrate_itself(
         self, context: Context, parameters: Mapping[str, float], instances: tuple[int, ...]
     ) -> Script[Mapping[int, OwnFinding]]:
@@ -189,7 +187,6 @@ class Dialect(Protocol):
         However it ends, nothing of it runs on. Raises Refused where it does not begin, PoorCalibration where
         the vehicle is not turned, LinkLost where it falls silent.
         """
-        ...
 
 
 @dataclass(slots=True)

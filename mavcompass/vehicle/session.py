@@ -11,8 +11,7 @@ from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.script import Ask, Context, Script, ask
 from mavcompass.procedure.vehicle_state import VehicleState, find_vehicle
-from mavcompass.vehicle.dialects import DIALECTS, make_dialect
-from mavcompass.vehicle.parameters.dialect import CompassDialect
+from mavcompass.vehicle.dialects import DIALECTS, CompassDialect, make_dialect
 from mavcompass.vehicle.parameters.undo import KeptValues
 from mavcompass.vehicle.parameters.values import Parameter, same_value
 
@@ -57,7 +56,7 @@ class HeldParameters:
 
     def instance_of(self, name: str) -> int | None:
         """Tell which compass a parameter belongs to; None for one of all compasses."""
-        return self.dialect.planner.instance_of(name)
+        return self.dialect.instance_of(name)
 
 
 @dataclass(frozen=True, slots=True)

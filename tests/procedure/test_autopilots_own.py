@@ -132,16 +132,16 @@ def test_a_vehicle_that_is_armed_is_refused(tmp_path: Path) -> None:
 def test_a_result_that_its_own_readings_contradict_is_not_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from mavcompass.vehicle.ardupilot import dialect
+    from mavcompass.vehicle.dialects import ardupilot
 
     wrong = OwnFinding(FieldCorrection((300.0, 0.0, 0.0)))
-    through = dialect.calibrate_itself
+    through = ardupilot.calibrate_ardupilot
 
     def bent(*args: Any) -> Any:
         found = yield from through(*args)
         return dict.fromkeys(found, wrong)
 
-    monkeypatch.setattr(dialect, "calibrate_itself", bent)
+    monkeypatch.setattr(ardupilot, "calibrate_ardupilot", bent)
     link = on_the_bench("rover")
     before = values_of(link)
     report = own(link, tmp_path)

@@ -15,9 +15,8 @@ from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.messages import CommandAck, CommandLong, MagCalProgress, MagCalReport, Statustext
 from mavcompass.procedure.script import Context, Machine, Script, Show
 from mavcompass.procedure.vehicle_state import find_vehicle
-from mavcompass.vehicle.ardupilot import onboard as ardupilot
+from mavcompass.vehicle.dialects import own_calibration
 from mavcompass.vehicle.driver import run
-from mavcompass.vehicle.px4 import onboard as px4
 
 START, CANCEL, PREFLIGHT = MavCmd.DO_START_MAG_CAL, MavCmd.DO_CANCEL_MAG_CAL, MavCmd.PREFLIGHT_CALIBRATION
 ONE, TWO = MagCalStatus.RUNNING_STEP_ONE, MagCalStatus.RUNNING_STEP_TWO
@@ -36,12 +35,12 @@ def report(compass: int = 0, status: int = MagCalStatus.SUCCESS, **more: Any) ->
 
 def of_ardupilot(context: Context) -> Script[Mapping[int, OwnFinding]]:
     yield from find_vehicle(context)
-    return (yield from ardupilot.calibrate_itself(context, (1,)))
+    return (yield from own_calibration.calibrate_ardupilot(context, (1,)))
 
 
 def of_px4(context: Context) -> Script[str]:
     yield from find_vehicle(context)
-    return (yield from px4.calibrate_itself(context))
+    return (yield from own_calibration.calibrate_px4(context))
 
 
 def test_ardupilot_is_started_without_saving_watched_and_ended() -> None:

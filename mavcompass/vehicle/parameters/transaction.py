@@ -21,7 +21,7 @@ from mavcompass.installation.invocation import consent, program
 from mavcompass.printable import counted
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.nameplate import Nameplate
-from mavcompass.procedure.script import Context, Script
+from mavcompass.procedure.script import Context, Script, nothing
 from mavcompass.vehicle.parameters import protocol
 from mavcompass.vehicle.parameters.undo import remove_record, written_file
 from mavcompass.vehicle.parameters.values import Encoding, Parameter, holds, is_single
@@ -47,7 +47,7 @@ class Transaction:
     encoding: Encoding
     source: str
     claim: Callable[[Context], Script[Nameplate]]
-    commit: Commit | None = None
+    commit: Commit = lambda context, plan: nothing(())
 
     def run(self, context: Context, plan: ParameterPlan, save_undo: SaveUndo) -> Script[WriteOutcome]:
         """Write `plan`; a plan that changes nothing sends nothing.
@@ -67,11 +67,9 @@ class Transaction:
         count = counted(len(new), "parameter")
         doing = f"Setting {count} for a while; if they stay" if plan.for_now else f"Writing {count}; to undo"
         context.show("write", f"{doing}: {command}")
-        remarks: tuple[str, ...] = ()
         try:
             echoes_s = yield from protocol.write(context, new, self.encoding)
-            if self.commit is not None:
-                remarks = yield from self.commit(context, plan)
+            remarks = yield from self.commit(context, plan)
             yield from protocol.prove(context, new, self.encoding, echoes_s)
         except GeneratorExit:
             raise way_back.left(context, "the procedure was ended") from None

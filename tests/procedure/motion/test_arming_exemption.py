@@ -20,10 +20,8 @@ from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.compasses import draw_compasses
 from mavcompass.simulation.physics.noise import generator
 from mavcompass.simulation.vehicle import SimulatedAutopilot
-from mavcompass.vehicle.ardupilot.arming import exemption
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.parameters.undo import load_record, undo_saver
-from mavcompass.vehicle.px4.arming import exemption as px4_exemption
 
 CALIBRATION = ("COMPASS_OFS_", "COMPASS_DIA_", "COMPASS_ODI_", "COMPASS_SCALE", "CAL_MAG0_", "STAT_")
 ALL_BUT_THE_COMPASS = float(sum(1 << bit for bit in range(1, 21)) - 4)
@@ -96,14 +94,14 @@ def test_what_else_forbids_arming_is_put_right_by_nobody(tmp_path: Path) -> None
     ],
 )
 def test_one_bit_is_set_aside_for_the_calibration_alone(
-    said: Sequence[str], held: dict[str, float], exempt: float | None
+    said: Sequence[str], held: dict[str, float], exempt: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    script = exemption(said, lambda names: nothing({n: held[n] for n in names if n in held}))
-    try:
-        while True:
-            next(script)
-    except StopIteration as end:
-        assert list(end.value.values()) == ([] if exempt is None else [exempt])
+    dialect = make_dialect("ardupilot")
+    told = lambda _, names: nothing({n: held[n] for n in names if n in held})  # noqa: E731
+    monkeypatch.setattr(dialect, "read_parameters", told)
+    with pytest.raises(StopIteration) as end:
+        next(dialect.arming_exemption(Context(), said))
+    assert list(end.value.value.values()) == ([] if exempt is None else [exempt])
 
 
 @pytest.mark.parametrize(
@@ -117,7 +115,9 @@ def test_one_bit_is_set_aside_for_the_calibration_alone(
     ],
 )
 def test_px4_has_a_parameter_for_some_of_it(said: Sequence[str], values: dict[str, float]) -> None:
-    assert px4_exemption(said) == values
+    with pytest.raises(StopIteration) as end:
+        next(make_dialect("px4").arming_exemption(Context(), said))
+    assert end.value.value == values
 
 
 def test_what_a_killed_run_has_left_is_put_back_by_the_next(tmp_path: Path) -> None:

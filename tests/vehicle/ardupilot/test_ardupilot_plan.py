@@ -15,7 +15,6 @@ from mavcompass.compass_parameters import ardupilot_correction
 from mavcompass.compass_parameters.orientations import rotation_of
 from mavcompass.correction import FieldCorrection
 from mavcompass.procedure.dialect import ParameterPlan
-from mavcompass.vehicle.ardupilot.plan import instance_of
 from mavcompass.vehicle.dialects import make_dialect
 
 DIALECT = make_dialect("ardupilot")
@@ -56,8 +55,8 @@ def test_what_is_planned_is_what_will_be_in_force(correction: FieldCorrection, i
 @given(finite_corrections, st.integers(1, 2))
 def test_no_other_compass_is_ever_in_the_changes(correction: FieldCorrection, instance: int) -> None:
     planned = DIALECT.plan(ardupilot_parameters(), {instance: correction})
-    assert {instance_of(c.name) for c in planned.changes} <= {instance, None}
-    assert {c.name for c in planned.changes if instance_of(c.name) is None} <= {"COMPASS_MOTCT"}
+    assert {DIALECT.instance_of(c.name) for c in planned.changes} <= {instance, None}
+    assert {c.name for c in planned.changes if DIALECT.instance_of(c.name) is None} <= {"COMPASS_MOTCT"}
 
 
 @given(finite_corrections)
@@ -224,7 +223,7 @@ def test_the_pieces_of_a_vehicle_are_told_apart() -> None:
     assert DIALECT.instances({"COMPASS_OFS_X": 1.0}) == (1,)
     names = {"COMPASS_SCALE": 1, "COMPASS_USE3": 3, "COMPASS_EXTERN2": 2, "COMPASS_EXTERNAL": 1}
     names |= {"COMPASS_DEV_ID4": None, "COMPASS_PRIO1_ID": None, "COMPASS_OFFS_MAX": None}
-    assert {name: instance_of(name) for name in names} == names
+    assert {name: DIALECT.instance_of(name) for name in names} == names
 
 
 def test_a_turned_compass_is_set_before_its_correction_and_undone_after_it() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mavcompass.vehicle.ardupilot.yaw import idle_set
+from mavcompass.vehicle.dialects.taking_over import idle_set
 
 COMPASS, NONE, OTHER = 1.0, 0.0, 8.0
 

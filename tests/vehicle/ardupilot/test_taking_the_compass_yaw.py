@@ -12,7 +12,7 @@ from mavcompass.errors import Refused
 from mavcompass.messages import CommandAck, CommandLong
 from mavcompass.procedure.script import Context, Machine, Script, Stop
 from mavcompass.procedure.vehicle_state import find_vehicle
-from mavcompass.vehicle.ardupilot.yaw import HOW, idle_set, take_compass_yaw
+from mavcompass.vehicle.dialects.taking_over import EKF3_HOW, idle_set, take_ekf3_yaw
 from mavcompass.vehicle.driver import run
 
 SWITCH = MavCmd.SET_EKF_SOURCE_SET
@@ -35,14 +35,14 @@ THERE_AND_BACK = (
 def take(parameters: Mapping[str, float], flying: bool = False) -> Machine[str]:
     def script(context: Context) -> Script[str]:
         yield from find_vehicle(context)
-        return (yield from take_compass_yaw(context, parameters, flying))
+        return (yield from take_ekf3_yaw(context, parameters, flying))
 
     return Machine(script)
 
 
 def test_the_second_set_for_a_moment_then_the_first_again() -> None:
     with vehicle_script(*THERE_AND_BACK) as link:
-        assert run(take(AS_SHIPPED), link) == HOW
+        assert run(take(AS_SHIPPED), link) == EKF3_HOW
 
 
 def test_firmware_that_does_not_know_the_command_is_left_as_it_is() -> None:
@@ -60,7 +60,7 @@ def test_the_way_back_is_asked_for_until_it_is_answered() -> None:
         Expect(CommandLong(command=SWITCH, param1=1.0, confirmation=1)),
         Reply(CommandAck(SWITCH, MavResult.ACCEPTED)),
     ) as link:
-        assert run(take(AS_SHIPPED), link) == HOW
+        assert run(take(AS_SHIPPED), link) == EKF3_HOW
 
 
 def test_a_stop_in_between_still_leads_back() -> None:

@@ -17,7 +17,7 @@ from mavcompass.simulation.heading_error import heading_errors_rad
 from mavcompass.simulation.physics.compasses import CompassSetup
 from mavcompass.simulation.physics.sensors import CompassModel
 from mavcompass.simulation.vehicle import SimulatedAutopilot
-from mavcompass.vehicle.px4.loading import HOW
+from mavcompass.vehicle.dialects.taking_over import PX4_HOW
 
 IRON = FieldCorrection((120.0, -80.0, 40.0), (1.1, 0.9, 1.0), (0.02, -0.01, 0.005))
 VEHICLES = {"ardupilot": "rover", "px4": "px4-copter"}
@@ -96,7 +96,7 @@ def true_field(autopilot: SimulatedAutopilot) -> FloatArray:
     return rotate_back(attitude, autopilot.world.field_ned_mgauss)
 
 
-@pytest.mark.parametrize(("moved_gauss", "how"), [(0.05, HOW), (0.0, "")])
+@pytest.mark.parametrize(("moved_gauss", "how"), [(0.05, PX4_HOW), (0.0, "")])
 @pytest.mark.parametrize("mounted", [right_angles()[5], free_ones(1)[0]])
 def test_what_px4_flew_with_it_stores_on_landing_and_the_new_mounting_is_loaded_again(
     mounted: FloatArray, moved_gauss: float, how: str, tmp_path: Path

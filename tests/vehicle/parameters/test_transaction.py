@@ -26,8 +26,7 @@ from mavcompass.printable import counted
 from mavcompass.procedure.dialect import Change, ParameterPlan
 from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.script import Machine, Stop, Tick
-from mavcompass.vehicle.dialects import make_dialect
-from mavcompass.vehicle.parameters.dialect import CompassDialect
+from mavcompass.vehicle.dialects import CompassDialect, make_dialect
 from mavcompass.vehicle.parameters.files import read_parameter_file
 from mavcompass.vehicle.parameters.transaction import _sentence
 from mavcompass.vehicle.parameters.undo import load_record, newest_record, undo_directory, undo_saver

@@ -11,13 +11,13 @@ from parameter_vehicle import PX4Vehicle, Radio, px4_parameters
 from mavcompass.errors import Refused, WriteFailed
 from mavcompass.messages import ParamSet
 from mavcompass.procedure.script import Context, Script
-from mavcompass.vehicle.px4.loading import HOW, load
+from mavcompass.vehicle.dialects.taking_over import PX4_HOW, load_px4
 
 NEW = {"CAL_MAG0_XOFF": 0.12, "CAL_MAG0_YOFF": -0.08, "CAL_MAG0_XSCALE": 0.9}
 
 
 def loading(context: Context) -> Script[Any]:
-    return load(context, NEW)
+    return load_px4(context, NEW)
 
 
 def offsets_sent(radio: Radio) -> list[float]:
@@ -27,14 +27,14 @@ def offsets_sent(radio: Radio) -> list[float]:
 def test_what_disarming_has_overwritten_is_written_again() -> None:
     vehicle = PX4Vehicle(px4_parameters(**NEW) | {"CAL_MAG0_XOFF": 0.07, "CAL_MAG0_XSCALE": 1.0})
     radio = Radio(vehicle)
-    assert radio.run(loading) == HOW
+    assert radio.run(loading) == PX4_HOW
     assert {name: vehicle.values[name] for name in NEW} == {n: float(np.float32(v)) for n, v in NEW.items()}
     assert any("had put other values" in show.text for show in radio.shown)
 
 
 def test_what_resets_no_heading_is_not_made_to_load() -> None:
     radio = Radio(PX4Vehicle(px4_parameters(**NEW)))
-    assert radio.run(lambda context: load(context, {"CAL_MAG0_YOFF": -0.08})) == ""
+    assert radio.run(lambda context: load_px4(context, {"CAL_MAG0_YOFF": -0.08})) == ""
     assert not any(isinstance(message, ParamSet) for message in radio.sent)
 
 
@@ -42,7 +42,7 @@ def test_what_resets_no_heading_is_not_made_to_load() -> None:
 def test_px4_sees_another_calibration_and_then_the_right_one(seed: int) -> None:
     vehicle = PX4Vehicle(px4_parameters(**NEW))
     radio = Radio(vehicle, seed=seed, loss=0.2, silence_s=15.0)
-    assert radio.run(loading) == HOW
+    assert radio.run(loading) == PX4_HOW
     assert max(offsets_sent(radio)) == pytest.approx(0.131)
     # A matrix that differs by less than 0.01 would not be loaded: it is moved, too.
     scales = [

@@ -15,7 +15,6 @@ from mavcompass.compass_parameters.orientations import rotation_of
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import sensor_orientation_matrix
 from mavcompass.vehicle.dialects import make_dialect
-from mavcompass.vehicle.px4.plan import instance_of
 
 DIALECT = make_dialect("px4")
 GOOD = FieldCorrection((120.0, -80.0, 40.0), (1.1, 0.9, 1.0), (0.02, -0.01, 0.005), 1.02)
@@ -47,7 +46,7 @@ def test_what_is_planned_is_what_will_be_in_force(
     new = DIALECT.correction(held | {c.name: c.new for c in planned.changes}, instance)
     assert new.offsets_mgauss == pytest.approx(correction.offsets_mgauss, rel=1e-6, abs=2e-3)
     assert new.matrix == pytest.approx(correction.matrix, rel=1e-6, abs=3e-6)
-    assert {instance_of(c.name) for c in planned.changes} <= {instance}
+    assert {DIALECT.instance_of(c.name) for c in planned.changes} <= {instance}
 
 
 @given(finite_corrections, st.sampled_from([-1, 0, 1, 4, 12, 25]))

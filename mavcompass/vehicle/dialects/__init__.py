@@ -1,11 +1,11 @@
-"""The dialects, by autopilot."""
+"""The dialects, by autopilot: compass parameters read, planned and written, and what goes with them."""
 
 from __future__ import annotations
 
 from mavcompass.errors import Refused
-from mavcompass.vehicle.ardupilot import ArduPilotDialect
-from mavcompass.vehicle.parameters.dialect import CompassDialect
-from mavcompass.vehicle.px4 import PX4Dialect
+from mavcompass.vehicle.dialects.ardupilot import ArduPilotDialect
+from mavcompass.vehicle.dialects.compass import CompassDialect as CompassDialect
+from mavcompass.vehicle.dialects.px4 import PX4Dialect
 
 DIALECTS: dict[str, type[CompassDialect]] = {"ardupilot": ArduPilotDialect, "px4": PX4Dialect}
 
