@@ -6,7 +6,7 @@ import os
 import time
 import tty
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -116,18 +116,9 @@ class WireEnd:
 class _PtyMaster:
     def __init__(self, file: int) -> None:
         self._file = file
-        os.set_blocking(file, False)
 
     def fileno(self) -> int:
         return self._file
-
-    def read(self) -> bytes:
-        with suppress(BlockingIOError):
-            return os.read(self._file, 65_536)
-        return b""
-
-    def write(self, data: bytes) -> int:
-        return os.write(self._file, data)
 
     def close(self) -> None:
         os.close(self._file)

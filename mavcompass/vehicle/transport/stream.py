@@ -3,43 +3,74 @@
 from __future__ import annotations
 
 import logging
+import os
 import select
 import time
+from collections.abc import Callable
 from contextlib import suppress
+from typing import Protocol
 
 from mavcompass.errors import LinkLost, NoVehicle
-from mavcompass.vehicle.transport.transport import SEND_BUFFER_BYTES, OpenStream, Peer, Reconnect, Stream
+from mavcompass.vehicle.transport.transport import READ_BYTES, SEND_BUFFER_BYTES, Peer, Reconnect
 
 _log = logging.getLogger(__name__)
 
 
-class SendBuffer:
-    """Keep what a stream would not take at once."""
+class Opened(Protocol):
+    """Be a socket or a serial port that is open."""
 
-    def __init__(self) -> None:
+    def fileno(self) -> int: ...
+    def close(self) -> None: ...
+
+
+class Stream:
+    """Be one open connection: bytes go straight to its file, without waiting; what it would not take is kept.
+
+    Every method but `close` may raise OSError when it broke.
+    """
+
+    def __init__(self, opened: Opened) -> None:
+        self._opened = opened
         self._waiting = bytearray()
+        os.set_blocking(opened.fileno(), False)
 
-    def __len__(self) -> int:
-        return len(self._waiting)
+    def fileno(self) -> int:
+        """Return the file to wait for."""
+        return self._opened.fileno()
 
-    def write(self, stream: Stream, data: bytes) -> bool:
-        """Send after what is waiting; False when too much is. Raises OSError when the stream broke."""
+    @property
+    def has_waiting(self) -> bool:
+        """Tell whether something is yet to be sent."""
+        return bool(self._waiting)
+
+    def read(self) -> bytes:
+        """Send what is waiting, and return what has come, b"" for nothing. Raises EOFError at the end."""
+        self._flush()
+        try:
+            data = os.read(self.fileno(), READ_BYTES)
+        except BlockingIOError:
+            return b""
+        if not data:
+            raise EOFError
+        return data
+
+    def write(self, data: bytes) -> bool:
+        """Send after what is waiting; False when too much is."""
         if len(self._waiting) + len(data) > SEND_BUFFER_BYTES:
             return False
         self._waiting += data
-        self.flush(stream)
+        self._flush()
         return True
 
-    def flush(self, stream: Stream) -> None:
-        """Send what the stream takes now."""
-        while self._waiting:
-            try:
-                sent = stream.write(bytes(self._waiting))
-            except BlockingIOError:
-                return
-            if not sent:
-                return
-            del self._waiting[:sent]
+    def _flush(self) -> None:
+        with suppress(BlockingIOError):
+            while self._waiting:
+                del self._waiting[: os.write(self.fileno(), self._waiting)]
+
+    def close(self) -> None:
+        """Let go."""
+        with suppress(OSError):
+            self._opened.close()
 
 
 class StreamTransport:
@@ -47,13 +78,12 @@ class StreamTransport:
 
     PEER: Peer = "peer"
 
-    def __init__(self, name: str, open_stream: OpenStream, reconnect: Reconnect, remedy: str) -> None:
+    def __init__(self, name: str, opening: Callable[[], Opened], reconnect: Reconnect, remedy: str) -> None:
         self.name = name
-        self._open_stream = open_stream
+        self._open = opening
         self._reconnect = reconnect
         self._remedy = remedy
         self._stream: Stream | None = None
-        self._buffer = SendBuffer()
         self._closed = False
         self._give_up_s = self._next_try_s = 0.0
         self._connect_first()
@@ -62,7 +92,7 @@ class StreamTransport:
         give_up_s = time.monotonic() + self._reconnect.first_s
         while True:
             try:
-                self._stream = self._open_stream()
+                self._stream = Stream(self._open())
                 return
             except OSError as error:
                 if time.monotonic() >= give_up_s:
@@ -78,7 +108,9 @@ class StreamTransport:
             self._try_again()
             return
         poll = select.poll()
-        poll.register(self._stream.fileno(), select.POLLIN | (select.POLLOUT if len(self._buffer) else 0))
+        poll.register(
+            self._stream.fileno(), select.POLLIN | (select.POLLOUT if self._stream.has_waiting else 0)
+        )
         poll.poll(max(timeout_s, 0.0) * 1000.0)
 
     def read(self) -> list[tuple[Peer, bytes]]:
@@ -90,7 +122,6 @@ class StreamTransport:
         if self._stream is None:
             return []
         try:
-            self._buffer.flush(self._stream)
             data = self._stream.read()
         except (OSError, EOFError) as error:
             self._broke(error)
@@ -102,7 +133,7 @@ class StreamTransport:
         if self._stream is None:
             return False
         try:
-            return self._buffer.write(self._stream, data)
+            return self._stream.write(data)
         except OSError as error:
             self._broke(error)
             return False
@@ -123,9 +154,8 @@ class StreamTransport:
 
     def _drop(self) -> None:
         if self._stream is not None:
-            with suppress(OSError):
-                self._stream.close()
-        self._stream, self._buffer = None, SendBuffer()
+            self._stream.close()
+        self._stream = None
 
     def _broke(self, error: Exception) -> None:
         _log.info("%s broke (%s), trying again", self.name, error or "closed by the other end")
@@ -139,7 +169,7 @@ class StreamTransport:
             return
         self._next_try_s = now + self._reconnect.every_s
         try:
-            self._stream = self._open_stream()
+            self._stream = Stream(self._open())
             _log.info("%s is open again", self.name)
         except OSError as error:
             if now >= self._give_up_s:

@@ -8,54 +8,24 @@ import socket
 from contextlib import suppress
 
 from mavcompass.errors import LinkLost, UsageError
-from mavcompass.vehicle.transport.stream import SendBuffer, StreamTransport
-from mavcompass.vehicle.transport.transport import READ_BYTES, Peer, Reconnect
+from mavcompass.vehicle.transport.stream import Stream, StreamTransport
+from mavcompass.vehicle.transport.transport import Peer, Reconnect
 
 # Long enough for a radio modem, short enough that Ctrl-C is not ignored.
 _CONNECT_S = 2.0
 
 
-class TcpStream:
-    """Be one TCP connection."""
-
-    def __init__(self, connected: socket.socket) -> None:
-        connected.setblocking(False)
-        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._socket = connected
-
-    @classmethod
-    def to(cls, host: str, port: int) -> TcpStream:
-        """Connect, waiting a little. Raises OSError."""
-        return cls(socket.create_connection((host, port), timeout=_CONNECT_S))
-
-    def fileno(self) -> int:
-        """Return the socket's number."""
-        return self._socket.fileno()
-
-    def read(self) -> bytes:
-        """Return what has come. Raises EOFError when the other end closed."""
-        try:
-            data = self._socket.recv(READ_BYTES)
-        except BlockingIOError:
-            return b""
-        if not data:
-            raise EOFError
-        return data
-
-    def write(self, data: bytes) -> int:
-        """Send what is taken at once."""
-        return self._socket.send(data)
-
-    def close(self) -> None:
-        """Close the connection."""
-        self._socket.close()
+def _at_once(connected: socket.socket) -> socket.socket:
+    """Have a connection send what it is given, instead of waiting for more."""
+    connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return connected
 
 
 def connect_tcp(host: str, port: int, reconnect: Reconnect) -> StreamTransport:
     """Connect to a vehicle or a router. Raises NoVehicle when nobody listens there."""
     return StreamTransport(
         f"tcp:{host}:{port}",
-        lambda: TcpStream.to(host, port),
+        lambda: _at_once(socket.create_connection((host, port), timeout=_CONNECT_S)),
         reconnect,
         "Check that the vehicle or simulator is running and that host and port are right.",
     )
@@ -66,7 +36,7 @@ class TcpServerTransport:
 
     def __init__(self, host: str, port: int) -> None:
         self.name = f"tcpin:{host}:{port}"
-        self._streams: dict[Peer, tuple[TcpStream, SendBuffer]] = {}
+        self._streams: dict[Peer, Stream] = {}
         self._accepted = 0
         self._closed = False
         self._selector = selectors.DefaultSelector()
@@ -90,8 +60,8 @@ class TcpServerTransport:
 
     def wait(self, timeout_s: float) -> None:
         """Return when something may have come, or after the time."""
-        for stream, buffer in self._streams.values():
-            writing = selectors.EVENT_WRITE if len(buffer) else 0
+        for stream in self._streams.values():
+            writing = selectors.EVENT_WRITE if stream.has_waiting else 0
             self._selector.modify(stream.fileno(), selectors.EVENT_READ | writing)
         self._selector.select(max(timeout_s, 0.0))
 
@@ -101,9 +71,8 @@ class TcpServerTransport:
             raise LinkLost(f"{self.name} is closed.")
         self._accept()
         pieces: list[tuple[Peer, bytes]] = []
-        for peer, (stream, buffer) in list(self._streams.items()):
+        for peer, stream in list(self._streams.items()):
             try:
-                buffer.flush(stream)
                 if data := stream.read():
                     pieces.append((peer, data))
             except (OSError, EOFError):
@@ -114,9 +83,8 @@ class TcpServerTransport:
         """Send to one connection."""
         if peer not in self._streams:
             return False
-        stream, buffer = self._streams[peer]
         try:
-            return buffer.write(stream, data)
+            return self._streams[peer].write(data)
         except OSError:
             self.disconnect(peer)
             return False
@@ -132,7 +100,7 @@ class TcpServerTransport:
 
     def disconnect(self, peer: Peer) -> None:
         """Close one connection."""
-        stream, _ = self._streams.pop(peer)
+        stream = self._streams.pop(peer)
         self._selector.unregister(stream.fileno())
         stream.close()
 
@@ -148,7 +116,7 @@ class TcpServerTransport:
         with suppress(OSError):  # nobody is waiting, or gave up in the meantime
             while True:
                 connection, _ = self._listener.accept()
-                stream = TcpStream(connection)
+                stream = Stream(_at_once(connection))
                 self._accepted += 1
-                self._streams[self._accepted] = (stream, SendBuffer())
+                self._streams[self._accepted] = stream
                 self._selector.register(stream.fileno(), selectors.EVENT_READ)

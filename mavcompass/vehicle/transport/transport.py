@@ -6,7 +6,7 @@ a TCP server, a remote address of a UDP port, or the only one there is.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -53,22 +53,3 @@ class Reconnect:
     first_s: float = 3.0
     again_s: float = 15.0
     every_s: float = 0.25
-
-
-class Stream(Protocol):
-    """Be one open connection; every method but `close` may raise OSError when it broke."""
-
-    def fileno(self) -> int:
-        """Return the file to wait for."""
-
-    def read(self) -> bytes:
-        """Return what has come, b"" for nothing yet. Raises EOFError when the other end closed."""
-
-    def write(self, data: bytes) -> int:
-        """Send without waiting, return how much was taken."""
-
-    def close(self) -> None:
-        """Let go."""
-
-
-OpenStream = Callable[[], Stream]
