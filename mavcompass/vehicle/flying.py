@@ -7,42 +7,22 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from pathlib import Path
-from typing import Protocol
 
 from mavcompass.errors import LinkError, UsageError
+from mavcompass.messages import Attitude, Heartbeat, ParamValue, message_id
 from mavcompass.procedure.flying import FlightRates, Profile, fly_profile
 from mavcompass.procedure.script import Machine, Show
 from mavcompass.vehicle.driver import run
 from mavcompass.vehicle.link import GROUND_STATION
 from mavcompass.vehicle.links.wire import WireLink
-from mavcompass.vehicle.simulators import Flight, RunningProgram
+from mavcompass.vehicle.simulators import ArduPilotSitl, Flight, Px4Sih, RunningProgram
 from mavcompass.vehicle.transport import Transport
 from mavcompass.vehicle.wire import Frame
 
 Record = Callable[[int, bytes], None]
-_ATTITUDE, _PARAM_VALUE, _HEARTBEAT = 30, 22, 0
 _CONNECTS_S = 30.0
 # A simulator of a busy computer may pause.
 _SILENCE_S = 15.0
-
-
-class Simulator(Protocol):
-    """Be a kind of simulator that can be started for a motion."""
-
-    def start(
-        self,
-        folder: Path,
-        flight: Flight,
-        parameters: Mapping[str, float],
-        port: Transport,
-    ) -> RunningProgram:
-        """Start it in `folder`; it speaks to `port`."""
-
-    def listen(self) -> Transport:
-        """Open a port of the loopback for it."""
-
-    def live(self, parameters: Mapping[str, float]) -> dict[str, float]:
-        """Return what is to be set over the link once it runs."""
 
 
 class _Recorder:
@@ -64,13 +44,13 @@ class _Recorder:
 
     def hear(self, frame: Frame) -> None:
         """Take a frame."""
-        if frame.message_id == _ATTITUDE:
+        if frame.message_id == message_id(Attitude):
             self._boot_s = max(self._boot_s, int.from_bytes(frame.payload[:4], "little") / 1000.0)
         if self._on:
             self._keep(frame.raw)
-        elif frame.message_id == _HEARTBEAT:
+        elif frame.message_id == message_id(Heartbeat):
             self._before[b""] = frame.raw
-        elif frame.message_id == _PARAM_VALUE:
+        elif frame.message_id == message_id(ParamValue):
             self._before[frame.payload[8:24]] = frame.raw
 
     def _keep(self, raw: bytes) -> None:
@@ -78,7 +58,7 @@ class _Recorder:
 
 
 def fly_in_simulator(
-    simulator: Simulator,
+    simulator: ArduPilotSitl | Px4Sih,
     profile: Profile,
     parameters: Mapping[str, float],
     folder: Path,

@@ -19,7 +19,7 @@ from mavcompass.messages import CommandLong, Heartbeat, Message
 from mavcompass.vehicle.link import Link, LinkStatistics
 from mavcompass.vehicle.links.simulated import SimulatedLink
 from mavcompass.vehicle.links.wire import WireLink
-from mavcompass.vehicle.replay.contents import survey
+from mavcompass.vehicle.replay.answers import survey
 from mavcompass.vehicle.replay.replayed import ReplayedAutopilot, ReplayedLink, play_tlog
 from mavcompass.vehicle.transport import (
     Reconnect,

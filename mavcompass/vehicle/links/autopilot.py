@@ -30,33 +30,18 @@ class Said(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SaidMessage:
-    """Be a message, plainly."""
+    """Be a message, plainly.
+
+    Attributes:
+        frame: what was recorded, which is sent on with its payload as it is.
+    """
 
     time_s: float
     system: int
     component: int
-    message: Message
-    port: int | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class SaidFrame:
-    """Be a message as a frame that was recorded: it is sent on with the payload as it is."""
-
-    time_s: float
     message: Message | None
-    frame: Frame
     port: int | None = None
-
-    @property
-    def system(self) -> int:
-        """Return the sender's system."""
-        return self.frame.system
-
-    @property
-    def component(self) -> int:
-        """Return the sender's component."""
-        return self.frame.component
+    frame: Frame | None = None
 
 
 class Autopilot(Protocol):
@@ -73,13 +58,10 @@ class Autopilot(Protocol):
         """Live until then and return what was said, in order."""
 
 
-Played = SaidMessage | SaidFrame
-
-
 class Recorded(Autopilot, Protocol):
     """Be the vehicle of a recording, which comes to an end."""
 
-    def advance(self, until_s: float) -> Sequence[Played]:
+    def advance(self, until_s: float) -> Sequence[SaidMessage]:
         """Live until then and return what was said, in order."""
 
     @property

@@ -12,7 +12,7 @@ from typing import Generic, TypeVar
 from mavcompass.errors import LinkLost
 from mavcompass.messages import Incoming, Message
 from mavcompass.vehicle.link import Link
-from mavcompass.vehicle.links.autopilot import Played, Recorded
+from mavcompass.vehicle.links.autopilot import Recorded, SaidMessage
 
 T = TypeVar("T")
 
@@ -112,7 +112,7 @@ class FaultyRecording:
 
     def __init__(self, recorded: Recorded, faults: Faults, seed: int = 0) -> None:
         self._recorded = recorded
-        self._coming = _Way[Played](faults, faults.loss, f"in {seed}")
+        self._coming = _Way[SaidMessage](faults, faults.loss, f"in {seed}")
         self._going = _Way[tuple[Message, int, int, int]](faults, faults.loss_of_ours, f"out {seed}")
 
     @property
@@ -129,14 +129,14 @@ class FaultyRecording:
         """Hear a message, perhaps, and later."""
         self._going.set_out(self.time_s, (message, system, component, port))
 
-    def advance(self, until_s: float) -> list[Played]:
+    def advance(self, until_s: float) -> list[SaidMessage]:
         """Play up to then; what arrives later is kept."""
         while self._going.next_s <= until_s:
             time_s, heard = self._going.take()
             self._play(time_s)
             self._recorded.receive(*heard)
         self._play(until_s)
-        arrived: list[Played] = []
+        arrived: list[SaidMessage] = []
         while self._coming.next_s <= until_s:
             time_s, played = self._coming.take()
             arrived.append(replace(played, time_s=time_s))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from mavcompass.vehicle.link import LinkStatistics
-from mavcompass.vehicle.links.autopilot import Autopilot, Said, SaidFrame
+from mavcompass.vehicle.links.autopilot import Autopilot, Said, SaidMessage
 from mavcompass.vehicle.links.pace import Pace
 from mavcompass.vehicle.stopping import StopRequest
 from mavcompass.vehicle.transport import Peer, Transport
@@ -31,7 +31,7 @@ class _Client:
         sender = (said.system, said.component)
         if sender not in self._writers:
             self._writers[sender] = FrameWriter()
-        if isinstance(said, SaidFrame):
+        if isinstance(said, SaidMessage) and said.frame is not None:
             return self._writers[sender].forward(said.frame)
         assert said.message is not None
         return self._writers[sender].write(said.message, said.system, said.component)

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 from mavcompass.messages import HighresImu, Message, RawImu, ScaledImu
 from mavcompass.units import MGAUSS_PER_GAUSS
-from mavcompass.vehicle.links.autopilot import Played, SaidMessage
+from mavcompass.vehicle.links.autopilot import SaidMessage
 
-Alter = Callable[[Played], Played]
+Alter = Callable[[SaidMessage], SaidMessage]
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class _Altering:
         self._alterations = alterations
         self._last_field: dict[tuple[int, int, type[Message]], tuple[float, float, float]] = {}
 
-    def __call__(self, played: Played) -> Played:
+    def __call__(self, played: SaidMessage) -> SaidMessage:
         message = played.message
         if message is None:
             return played
@@ -58,7 +58,7 @@ class _Altering:
                 message = replace(message, **{name: new})
         return message
 
-    def _compass(self, imu: RawImu | ScaledImu | HighresImu, played: Played) -> Message:
+    def _compass(self, imu: RawImu | ScaledImu | HighresImu, played: SaidMessage) -> Message:
         sensor = (played.system, played.component, type(imu))
         field = (imu.xmag, imu.ymag, imu.zmag)
         frozen_from_s = self._alterations.frozen_from_s

@@ -14,12 +14,11 @@ from mavcompass.errors import LinkLost, UsageError
 from mavcompass.messages import Heartbeat, Incoming, Message
 from mavcompass.track import Track
 from mavcompass.vehicle.link import ONBOARD_COMPUTER, Identity
-from mavcompass.vehicle.links.autopilot import Played, Recorded, SaidFrame
+from mavcompass.vehicle.links.autopilot import Recorded, SaidMessage
 from mavcompass.vehicle.links.simulated import SimulatedLink
 from mavcompass.vehicle.replay.alterations import Alterations
-from mavcompass.vehicle.replay.answers import Answers
-from mavcompass.vehicle.replay.contents import Contents, RecordingClock, survey
-from mavcompass.vehicle.replay.tlog import tlog_frames
+from mavcompass.vehicle.replay.answers import Answers, Contents, survey
+from mavcompass.vehicle.replay.tlog import RecordingClock, tlog_frames
 from mavcompass.vehicle.wire import decode
 
 ReadTrack = Callable[[Path], Track]
@@ -29,11 +28,11 @@ class ReplayedAutopilot:
     """Be the vehicle of a recording; see `mavcompass.vehicle.links.autopilot.Autopilot`."""
 
     def __init__(
-        self, played: Iterable[Played], contents: Contents, alterations: Alterations | None = None
+        self, played: Iterable[SaidMessage], contents: Contents, alterations: Alterations | None = None
     ) -> None:
         self.time_s = 0.0
         self._alter = (alterations or Alterations()).begin()
-        self._coming: Iterator[Played] = iter(played)
+        self._coming: Iterator[SaidMessage] = iter(played)
         self._next = next(self._coming, None)
         self._answers = Answers(contents)
 
@@ -46,9 +45,9 @@ class ReplayedAutopilot:
         """Hear a message; the answer leaves with the next `advance`."""
         self._answers.hear(message, port, self.time_s)
 
-    def advance(self, until_s: float) -> Sequence[Played]:
+    def advance(self, until_s: float) -> Sequence[SaidMessage]:
         """Play up to then."""
-        played: list[Played] = list(self._answers.take())
+        played: list[SaidMessage] = list(self._answers.take())
         while self._next is not None and self._next.time_s <= until_s:
             if self._answers.notice(self._next):
                 played.append(self._alter(self._next))
@@ -97,7 +96,7 @@ def replayed_autopilot(
     return ReplayedAutopilot(track_messages(track), track_contents(track), alterations)
 
 
-def play_tlog(path: Path, contents: Contents) -> Iterator[SaidFrame]:
+def play_tlog(path: Path, contents: Contents) -> Iterator[SaidMessage]:
     """Hand out the frames of a .tlog with times from its start."""
     clock = RecordingClock()
     for stamp_s, frame in tlog_frames(path):
@@ -105,4 +104,4 @@ def play_tlog(path: Path, contents: Contents) -> Iterator[SaidFrame]:
         message = decode(frame.message_id, frame.payload)
         if (frame.system, frame.component) in contents.stations and not isinstance(message, Heartbeat):
             continue  # what a ground station asked then is not what it asks now
-        yield SaidFrame(time_s, message, frame)
+        yield SaidMessage(time_s, frame.system, frame.component, message, frame=frame)

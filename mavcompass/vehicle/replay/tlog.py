@@ -1,4 +1,4 @@
-"""The frames of a telemetry log, one after the other, as they were on the wire."""
+"""The frames of a telemetry log, one after the other, as they were on the wire, and their time."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from mavcompass.vehicle.wire.framing import Frame, checksum_is_right, frame_leng
 _TIME_STAMP = Struct(">Q")
 _PIECE = 1 << 20
 _LONGEST = 2 * (LONGEST_FRAME + _TIME_STAMP.size)  # a frame, and the beginning of the next
+# Nobody waits through the night between two power-ups.
+LONGEST_PAUSE_S = 10.0
 # So many places in a row where a frame might begin and none does: ten megabytes by chance.
 _MOST_FAILED = 100_000
 
@@ -68,3 +70,18 @@ def _frames(file: BinaryIO) -> Iterator[tuple[float, Frame]]:
                     starts[byte] = len(data) + _TIME_STAMP.size if found < 0 else found
             at = min(starts.values()) - _TIME_STAMP.size
         at = min(at, len(data))
+
+
+class RecordingClock:
+    """Turn time stamps that may jump and pause into time from the start that does neither."""
+
+    def __init__(self) -> None:
+        self.time_s = 0.0
+        self._last_s: float | None = None
+
+    def advance(self, stamp_s: float) -> float:
+        """Take the next stamp, return its time."""
+        if self._last_s is not None:
+            self.time_s += min(max(stamp_s - self._last_s, 0.0), LONGEST_PAUSE_S)
+        self._last_s = stamp_s
+        return self.time_s

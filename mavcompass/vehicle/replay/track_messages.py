@@ -9,15 +9,16 @@ played as an ArduPilot vehicle whose parameters say what had been done to its fi
 from __future__ import annotations
 
 import heapq
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 
 import numpy as np
 
-from mavcompass.compass_parameters import px4_correction, px4_sensor_to_body
+from mavcompass.compass_parameters import px4_correction, px4_sensor_to_body, values
 from mavcompass.correction import FieldCorrection
-from mavcompass.enums import MavAutopilot, MavModeFlag, MavState, MavType
+from mavcompass.enums import MavAutopilot, MavModeFlag, MavParamType, MavState, MavType
 from mavcompass.frames import FloatArray, matrix_to_euler, quaternion_to_matrix
 from mavcompass.messages import (
     Attitude,
@@ -26,6 +27,7 @@ from mavcompass.messages import (
     Heartbeat,
     HighresImu,
     Message,
+    ParamValue,
     RawImu,
     ScaledImu,
     ScaledImu2,
@@ -37,11 +39,12 @@ from mavcompass.messages import (
     VfrHud,
     message_id,
 )
+from mavcompass.procedure.script import Context
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import DEG_PER_RAD, MGAUSS_PER_GAUSS, MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
 from mavcompass.vehicle.links.autopilot import SaidMessage
-from mavcompass.vehicle.replay.contents import Contents
-from mavcompass.vehicle.replay.track_parameters import first_parameters, parameter_changes, parameter_value
+from mavcompass.vehicle.parameters.values import Parameter, encode
+from mavcompass.vehicle.replay.answers import Contents
 
 _TYPES = {
     "rover": MavType.GROUND_ROVER,
@@ -51,6 +54,8 @@ _TYPES = {
     "plane": MavType.FIXED_WING,
 }
 _IMU_KINDS: dict[int, type[ScaledImu]] = {1: ScaledImu, 2: ScaledImu2, 3: ScaledImu3}
+# A Track does not tell types; these are PX4's whole numbers among the parameters of compasses.
+_PX4_WHOLE_NUMBERS = re.compile(r"CAL_MAG\d_(ID|ROT|PRIO)|CAL_MAG_(COMP_TYP|SIDES|ROT_AUTO)|SENS_BOARD_ROT")
 _INT16 = 32_767
 _HIGHRES_MOTION_AND_FIELD = 0x1FF
 _SLOW_HZ, _ATTITUDE_HZ = 5.0, 25.0
@@ -60,14 +65,15 @@ Build = Callable[[float, int], Message]
 
 def track_contents(track: Track) -> Contents:
     """Say what the vehicle of a Track can be asked."""
-    parameters = first_parameters(track)
+    parameters = _first_parameters(track)
     start_s, end_s = _span(track)
     contents = Contents(duration_s=end_s - start_s)
     contents.parameters = {
-        name: parameter_value(track, name, value, i, len(parameters))
+        name: _parameter_value(track, name, value, i, len(parameters))
         for i, (name, value) in enumerate(sorted(parameters.items()))
     }
     for said in track_messages(track):
+        assert said.message is not None
         number = message_id(type(said.message))
         contents.counts[number] = contents.counts.get(number, 0) + 1
     return contents
@@ -122,9 +128,46 @@ def _beats(track: Track, start_s: float, end_s: float) -> Iterator[SaidMessage]:
             yield _said(time_s, start_s, SystemTime(unix_us, _boot_ms(time_s)))
 
 
+# --- parameters ----------------------------------------------------------------------------------
+
+
 def _changes(track: Track, start_s: float) -> Iterator[SaidMessage]:
-    for time_s, value in parameter_changes(track):
+    for time_s, value in _parameter_changes(track):
         yield _said(max(time_s, start_s), start_s, value)
+
+
+def _first_parameters(track: Track) -> dict[str, float]:
+    """Return the recording's parameters, each compass's correction as it was at the start."""
+    held = dict(track.parameters)
+    for instance, compass in track.compasses.items():
+        known = track.autopilot == "px4" and any(name.startswith("CAL_MAG") for name in held)
+        if not known:
+            held |= values(track.autopilot, track.parameters, instance, compass.in_force[0].correction)
+    return held
+
+
+def _parameter_changes(track: Track) -> list[tuple[float, ParamValue]]:
+    """Return the corrections that came into force on the way, as values with their times."""
+    changes = []
+    for instance, compass in track.compasses.items():
+        for before, after in zip(compass.in_force[:-1], compass.in_force[1:], strict=True):
+            old, new = (
+                values(track.autopilot, track.parameters, instance, step.correction)
+                for step in (before, after)
+            )
+            for name, value in new.items():
+                if old.get(name) != value:
+                    said = _parameter_value(track, name, value, 65_535, len(track.parameters))
+                    changes.append((after.from_s, said))
+    return sorted(changes, key=itemgetter(0))
+
+
+def _parameter_value(track: Track, name: str, value: float, index: int, count: int) -> ParamValue:
+    """Spell a parameter as its autopilot does on the wire."""
+    whole = track.autopilot == "px4" and _PX4_WHOLE_NUMBERS.fullmatch(name) is not None
+    kind = MavParamType.INT32 if whole else MavParamType.REAL32
+    wire = encode(name, Parameter(value, kind), "bytewise" if whole else "cast", Context())
+    return ParamValue(name, wire.param_value, kind, count, index)
 
 
 # --- compasses and IMU ---------------------------------------------------------------------------

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mavcompass.vehicle.simulators.ardupilot import ArduPilotSitl
-from mavcompass.vehicle.simulators.flight import Flight
-from mavcompass.vehicle.simulators.program import RunningProgram
+from mavcompass.vehicle.simulators.program import Flight, RunningProgram
 from mavcompass.vehicle.simulators.px4 import Px4Sih
 
 __all__ = ["ArduPilotSitl", "Flight", "Px4Sih", "RunningProgram", "simulator_of"]

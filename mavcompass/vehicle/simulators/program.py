@@ -1,4 +1,4 @@
-"""A simulator's program: started in a folder of its own, ended with all that it started."""
+"""A simulator's program: told of its flight, started in a folder of its own, ended with all it started."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import signal
 import subprocess
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
@@ -16,6 +17,22 @@ _END_S = 5.0
 _SAYS_S = 30.0
 _LAST_LINES = 3
 _OUTPUT_FILE = "simulator.txt"
+
+
+@dataclass(frozen=True, slots=True)
+class Flight:
+    """Hold where a flight begins, and of what.
+
+    Attributes:
+        kind: "rover", "boat" or "copter". pivots: it turns on the spot.
+        home: latitude deg, longitude deg, altitude m; None for anywhere.
+        heading_deg: where the nose points.
+    """
+
+    kind: str
+    pivots: bool
+    home: tuple[float, float, float] | None
+    heading_deg: float
 
 
 class RunningProgram:

@@ -11,8 +11,7 @@ from pathlib import Path
 
 from mavcompass.errors import UsageError
 from mavcompass.vehicle.parameters.files import read_parameter_file
-from mavcompass.vehicle.simulators.flight import Flight
-from mavcompass.vehicle.simulators.program import RunningProgram, help_of
+from mavcompass.vehicle.simulators.program import Flight, RunningProgram, help_of
 from mavcompass.vehicle.transport import Transport
 from mavcompass.vehicle.transport.udp import UdpTransport
 

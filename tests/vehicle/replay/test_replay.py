@@ -44,7 +44,7 @@ from mavcompass.vehicle.link import Link
 from mavcompass.vehicle.links.faults import Faults, FaultyRecording
 from mavcompass.vehicle.opening import open_link
 from mavcompass.vehicle.replay import Alterations, ReplayedLink, replayed_autopilot
-from mavcompass.vehicle.replay.contents import LONGEST_PAUSE_S
+from mavcompass.vehicle.replay.tlog import LONGEST_PAUSE_S
 from mavcompass.vehicle.transport import Tcp
 
 VEHICLE = Heartbeat(type=MavType.GROUND_ROVER, autopilot=MavAutopilot.ARDUPILOTMEGA)
