@@ -18,7 +18,7 @@ LINES = {
     "package service": (5_300, 4_100),
     "package logs": (4_600, 3_600),
     "package cli": (4_160, 2_900),
-    "package": (67_470, 46_500),
+    "package": (67_290, 46_500),
     "tests": (43_400, 29_000),
     "scripts": (8_960, 4_400),
 }

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from mavcompass.procedure.turning.gyro_angle import GyroAngle
 from mavcompass.procedure.turning.pilots_controls import TurnBy
-from mavcompass.procedure.turning.profiles import vehicle_profile
+from mavcompass.procedure.turning.profiles import strategies_for, vehicle_profile
 from mavcompass.procedure.turning.steered import SteeredTurn, TurnStrategy
-from mavcompass.procedure.turning.strategies import strategies_for
 
 __all__ = [
     "GyroAngle",

@@ -19,7 +19,7 @@ _FULL_STICK_RADPS = math.radians(90.0)
 
 
 @dataclass(frozen=True, slots=True)
-class SteeringOverride:
+class SteeringOverride(Steer):
     """Move the steering channel by RC_CHANNELS_OVERRIDE, in MANUAL; only where a person asked for it.
 
     ArduPilot listens to the ground station whose system id is SYSID_MYGCS, and no other.
@@ -48,8 +48,8 @@ class SteeringOverride:
 
 
 @dataclass(frozen=True, slots=True)
-class ManualAxis:
-    """Move the steering by MANUAL_CONTROL, in MANUAL; only where a person asked for it.
+class ManualAxis(Steer):
+    """Move the steering by MANUAL_CONTROL, in MANUAL; what is no longer sent is forgotten.
 
     Attributes:
         axis: "y" steers rovers and boats, "r" yaws subs.
@@ -68,9 +68,6 @@ class ManualAxis:
     def stand(self, context: Context) -> None:
         """Hold the axis in the middle."""
         self._move(context, 0)
-
-    def let_go(self, context: Context) -> None:
-        """Do nothing: what is no longer sent is forgotten."""
 
     def _move(self, context: Context, value: int) -> None:
         y, r = (value, 0) if self.axis == "y" else (0, value)

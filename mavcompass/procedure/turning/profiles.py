@@ -1,40 +1,21 @@
-"""How each kind of vehicle is turned, read from `params/vehicles/*.toml`: plain numbers and words."""
+"""How each kind of vehicle is turned: its ways, best first, read from `params/vehicles/*.toml`."""
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any
 
 from mavcompass.errors import MavCompassError
+from mavcompass.installation.additions import modules_in
 from mavcompass.installation.data_files import params_path
+from mavcompass.procedure.modes import ModeKeeper
+from mavcompass.procedure.turning import ways
+from mavcompass.procedure.turning.pilots_controls import TurnBy, turn_by_controls
+from mavcompass.procedure.turning.steered import Builder, TurnStrategy, TurnWay
 from mavcompass.units import RAD_PER_DEG
-
-
-@dataclass(frozen=True, slots=True)
-class TurnWay:
-    """Hold one way to turn a vehicle.
-
-    Attributes:
-        name: as a person is told; a file of `ways/` knows the message behind it.
-        rate_radps: of the turn. slow_down_s: the rate is at most what is left divided by this.
-        coast_s: angle coasted after the last command, per rate at that moment.
-        gain_per_s: rate of turn per radian of heading error, for ways that name a heading.
-        forward_mps: speed while turning, for what cannot turn on the spot.
-        speed_up_s: the rate grows to its full size in so long.
-        ends_within_s: the vehicle stands so soon after the last heading that it was told, its link dead.
-    """
-
-    name: str
-    rate_radps: float
-    slow_down_s: float = 0.6
-    coast_s: float = 0.3
-    gain_per_s: float = 2.0
-    forward_mps: float = 0.0
-    speed_up_s: float = 0.0
-    ends_within_s: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,3 +86,38 @@ def _positive(value: float) -> float:
     if not value > 0.0:
         raise ValueError(f"{value} is not positive")
     return float(value)
+
+
+def strategies_for(
+    kind: str,
+    autopilot: str,
+    ackermann: bool = False,
+    by: TurnBy = "auto",
+    modes: ModeKeeper | None = None,
+) -> tuple[TurnStrategy, ...]:
+    """List the ways to turn a vehicle, best first; empty where only a person can turn it.
+
+    Which and how fast stands in `params/vehicles`. `by` other than "auto" moves the pilot's own controls
+    instead, in a mode in which they steer. `modes` knows the mode before and puts it back.
+    Raises MavCompassError where a profile names a way that does not exist.
+    """
+    if by != "auto":
+        turn = turn_by_controls(kind, by) if autopilot == "ardupilot" else None
+        return () if turn is None else (turn,)
+    profile = vehicle_profile(kind, autopilot, ackermann)
+    return () if profile is None else tuple(_strategy(way, modes) for way in profile.ways)
+
+
+def _strategy(way: TurnWay, modes: ModeKeeper | None) -> TurnStrategy:
+    if way.name not in known_ways():
+        raise MavCompassError(
+            f"A vehicle profile names a way to turn that does not exist: {way.name!r}.",
+            f"Choose from: {', '.join(known_ways())}.",
+        )
+    return known_ways()[way.name](way, modes)
+
+
+@cache
+def known_ways() -> Mapping[str, Builder]:
+    """Return the ways to turn by name; each file of `ways/` names its own in `WAYS`."""
+    return {name: build for module in modules_in(ways) for name, build in module.WAYS.items()}

@@ -7,6 +7,7 @@ proves nothing: ArduCopter accepts CONDITION_YAW in every mode and moves only in
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -14,7 +15,6 @@ from typing import Protocol
 from mavcompass.procedure.modes import ModeKeeper
 from mavcompass.procedure.script import Context, Script, pause
 from mavcompass.procedure.turning.gyro_angle import GyroAngle
-from mavcompass.procedure.turning.profiles import TurnWay
 
 # How often a target is repeated: several in the time in which one that ends by itself ends.
 _REPEAT_S = 0.1
@@ -34,6 +34,30 @@ SLOW_RADPS = math.radians(5.0)
 RUNS_ON_S = 0.15
 # What holds an angle and is stopped dead swings back: it turns on for so long, per rate, at half of it.
 _LAST_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class TurnWay:
+    """Hold one way to turn a vehicle.
+
+    Attributes:
+        name: as a person is told; a file of `ways/` knows the message behind it.
+        rate_radps: of the turn. slow_down_s: the rate is at most what is left divided by this.
+        coast_s: angle coasted after the last command, per rate at that moment.
+        gain_per_s: rate of turn per radian of heading error, for ways that name a heading.
+        forward_mps: speed while turning, for what cannot turn on the spot.
+        speed_up_s: the rate grows to its full size in so long.
+        ends_within_s: the vehicle stands so soon after the last heading that it was told, its link dead.
+    """
+
+    name: str
+    rate_radps: float
+    slow_down_s: float = 0.6
+    coast_s: float = 0.3
+    gain_per_s: float = 2.0
+    forward_mps: float = 0.0
+    speed_up_s: float = 0.0
+    ends_within_s: float = 1.0
 
 
 class TurnStrategy(Protocol):
@@ -61,25 +85,22 @@ class TurnStrategy(Protocol):
         ...
 
 
-class Steer(Protocol):
-    """Ask a vehicle to turn by one kind of message."""
+class Steer(ABC):
+    """Ask a vehicle to turn by one kind of message; `name` is what the person is told."""
 
-    @property
-    def name(self) -> str:
-        """Return what the person is told."""
-        ...
+    __slots__ = ()
+    name: str
 
+    @abstractmethod
     def turn(self, context: Context, rate_radps: float, left_rad: float) -> None:
         """Ask for a rate of turn, clockwise positive; `left_rad` is what is left of the whole turn."""
-        ...
 
+    @abstractmethod
     def stand(self, context: Context) -> None:
         """Ask for no turn at all."""
-        ...
 
-    def let_go(self, context: Context) -> None:
-        """End what was asked for; called once, after the last `stand`."""
-        ...
+    def let_go(self, context: Context) -> None:  # noqa: B027 (most have nothing to end)
+        """End what was asked for, where it does not end by itself; called once, after the last `stand`."""
 
 
 @dataclass(slots=True)

@@ -13,8 +13,7 @@ from mavcompass.enums import MavFrame
 from mavcompass.procedure.modes import PX4_OFFBOARD, ModeKeeper
 from mavcompass.procedure.script import Context, Machine, Script, Send, Stop, Tick
 from mavcompass.procedure.turning import GyroAngle
-from mavcompass.procedure.turning.profiles import TurnWay
-from mavcompass.procedure.turning.steered import SteeredTurn
+from mavcompass.procedure.turning.steered import SteeredTurn, TurnWay
 from mavcompass.procedure.turning.ways.offboard import OffboardTurn
 from mavcompass.procedure.vehicle_state import VehicleState
 

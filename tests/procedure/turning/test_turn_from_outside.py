@@ -13,7 +13,7 @@ from mavcompass import messages as mav
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.script import Context, Script, pause
 from mavcompass.procedure.turning import GyroAngle, profiles, strategies_for, ways
-from mavcompass.procedure.turning.strategies import known_ways
+from mavcompass.procedure.turning.profiles import known_ways
 from mavcompass.procedure.vehicle_state import VehicleState
 
 NUDGES = '''

@@ -10,13 +10,9 @@ from mavcompass import messages as mav
 from mavcompass.enums import MavCmd, MavFrame
 from mavcompass.procedure.script import Context, Send
 from mavcompass.procedure.turning.pilots_controls import ManualAxis, SteeringOverride, turn_by_controls
-from mavcompass.procedure.turning.profiles import TurnWay, vehicle_profile
-from mavcompass.procedure.turning.steered import Steer
-from mavcompass.procedure.turning.strategies import known_ways, strategies_for
-from mavcompass.procedure.turning.ways.attitude_targets import AttitudeRate
-from mavcompass.procedure.turning.ways.condition_yaw import YawStep
-from mavcompass.procedure.turning.ways.heading_targets import HeadingAhead
-from mavcompass.procedure.turning.ways.yaw_rate_targets import YawRate
+from mavcompass.procedure.turning.profiles import known_ways, strategies_for, vehicle_profile
+from mavcompass.procedure.turning.steered import Steer, TurnWay
+from mavcompass.procedure.turning.ways.guided import AttitudeRate, HeadingAhead, YawRate, YawStep
 
 DEG = math.radians(1.0)
 

@@ -13,8 +13,7 @@ from mavcompass.enums import MavFrame
 from mavcompass.procedure.modes import PX4_OFFBOARD, ModeKeeper
 from mavcompass.procedure.script import Context, Script, pause
 from mavcompass.procedure.turning.gyro_angle import GyroAngle
-from mavcompass.procedure.turning.profiles import TurnWay
-from mavcompass.procedure.turning.steered import Builder, SteeredTurn
+from mavcompass.procedure.turning.steered import Builder, Steer, SteeredTurn, TurnWay
 from mavcompass.procedure.turning.targets import PLACE_AND_YAW_RATE, STAND_AND_YAW_RATE, send_target
 
 _STREAM_S = 0.1
@@ -123,7 +122,7 @@ class OffboardTurn:
 
 
 @dataclass(frozen=True, slots=True)
-class _Wish:
+class _Wish(Steer):
     """Be the steering of a stream: only note the wish, the stream carries it."""
 
     offboard: OffboardTurn
@@ -133,9 +132,6 @@ class _Wish:
         self.offboard._wanted_radps = rate_radps
 
     def stand(self, context: Context) -> None:
-        self.offboard._wanted_radps = 0.0
-
-    def let_go(self, context: Context) -> None:
         self.offboard._wanted_radps = 0.0
 
 

@@ -1,0 +1,152 @@
+"""Turn a vehicle in GUIDED: by headings, by yaw rates, by steps of CONDITION_YAW; a target ends by itself."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from mavcompass import messages as mav
+from mavcompass.enums import MavCmd, MavFrame
+from mavcompass.procedure.script import Context
+from mavcompass.procedure.turning.steered import RUNS_ON_S, SLOW_RADPS, Builder, Steer, SteeredTurn
+from mavcompass.procedure.turning.targets import STAND_AND_YAW_RATE, YAW_ONLY, YAW_RATE_ONLY, send_target
+
+# Far from half a turn, beyond which it would be the other way round.
+_FARTHEST_RAD = math.radians(90.0)
+# SET_ATTITUDE_TARGET's type_mask: only the yaw rate and the thrust count.
+_RATE_AND_THRUST = 0x83
+
+
+@dataclass(frozen=True, slots=True)
+class HeadingAhead(Steer):
+    """Name a heading ahead of the vehicle, again and again: skid-steer rovers and boats in GUIDED.
+
+    What was named last is where a vehicle goes whose link dies, at the rate gain times what is left. So no
+    heading is named that is farther ahead than it takes to be slow again in time, however slowly it turns.
+
+    Attributes:
+        gain_per_s: rate of turn per radian of heading error, as rovers have it (ATC_STR_ANG_P).
+        ends_within_s: the vehicle stands so soon after the last word.
+    """
+
+    gain_per_s: float = 2.0
+    ends_within_s: float = 1.0
+    name: str = "heading targets"
+
+    @property
+    def farthest_rad(self) -> float:
+        """Return how far ahead a heading may be: rate(t) = gain * farthest * exp(-gain t) is slow in time."""
+        in_time = SLOW_RADPS / self.gain_per_s * math.exp(self.gain_per_s * (self.ends_within_s - RUNS_ON_S))
+        return min(in_time, _FARTHEST_RAD)
+
+    def turn(self, context: Context, rate_radps: float, left_rad: float) -> None:
+        """Name the heading whose error makes the vehicle turn at the rate."""
+        ahead = max(-self.farthest_rad, min(self.farthest_rad, rate_radps / self.gain_per_s))
+        send_target(context, YAW_ONLY, MavFrame.BODY_OFFSET_NED, yaw_rad=ahead)
+
+    def stand(self, context: Context) -> None:
+        """Ask for no rate: no heading is held, so a yaw that the bad compass bends is not hunted after."""
+        send_target(context, YAW_RATE_ONLY)
+
+
+@dataclass(frozen=True, slots=True)
+class YawRate(Steer):
+    """Ask for a yaw rate by SET_POSITION_TARGET_LOCAL_NED.
+
+    Attributes:
+        type_mask: what is to be ignored; rovers take a bare yaw rate, copters want a velocity with it.
+        forward_mps: speed while turning, for what cannot turn on the spot.
+    """
+
+    type_mask: int = YAW_RATE_ONLY
+    forward_mps: float = 0.0
+    name: str = "yaw rate targets"
+
+    def turn(self, context: Context, rate_radps: float, left_rad: float) -> None:
+        """Ask for the rate."""
+        # BODY_OFFSET_NED is the frame in which a forward speed is the vehicle's own.
+        frame = MavFrame.BODY_OFFSET_NED if self.forward_mps else MavFrame.BODY_NED
+        send_target(context, self.type_mask, frame, yaw_rate_radps=rate_radps, forward_mps=self.forward_mps)
+
+    def stand(self, context: Context) -> None:
+        """Ask for no rate and no speed."""
+        send_target(context, self.type_mask)
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeRate(Steer):
+    """Ask for a yaw rate by SET_ATTITUDE_TARGET without thrust: rovers and boats."""
+
+    name: str = "attitude targets"
+
+    def turn(self, context: Context, rate_radps: float, left_rad: float) -> None:
+        """Ask for the rate."""
+        context.send(
+            mav.SetAttitudeTarget(
+                target_system=context.system,
+                target_component=context.component,
+                type_mask=_RATE_AND_THRUST,
+                body_yaw_rate=rate_radps,
+            )
+        )
+
+    def stand(self, context: Context) -> None:
+        """Ask for no rate."""
+        self.turn(context, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class YawStep(Steer):
+    """Turn on by CONDITION_YAW in small relative steps: flying copters and diving subs in GUIDED.
+
+    A repeated relative command replaces what is left of the last one, so the steps do not add up. The last
+    one is gone on with where the link dies: it is no longer than the rate covers in time.
+    """
+
+    step_rad: float = math.radians(8.0)
+    ends_within_s: float = 1.0
+    name: str = "CONDITION_YAW"
+
+    def turn(self, context: Context, rate_radps: float, left_rad: float) -> None:
+        """Turn on by a step, at the rate; not farther than what is left, or than it turns in time."""
+        in_time_rad = abs(rate_radps) * (self.ends_within_s - RUNS_ON_S)
+        self._command(context, min(self.step_rad, in_time_rad, max(left_rad, 0.0)), rate_radps)
+
+    def stand(self, context: Context) -> None:
+        """Do nothing: the last step ends by itself and the autopilot holds its yaw."""
+
+    def let_go(self, context: Context) -> None:
+        """Hold the present yaw."""
+        self._command(context, 0.0, math.radians(30.0))
+
+    def _command(self, context: Context, angle_rad: float, rate_radps: float) -> None:
+        context.send(
+            mav.CommandLong(
+                context.system,
+                context.component,
+                MavCmd.CONDITION_YAW,
+                0,
+                math.degrees(angle_rad),
+                math.degrees(abs(rate_radps)),
+                math.copysign(1.0, rate_radps),
+                1.0,
+            )
+        )
+
+
+WAYS: dict[str, Builder] = {
+    "heading targets": lambda way, modes: SteeredTurn.by(
+        HeadingAhead(way.gain_per_s, way.ends_within_s), way
+    ),
+    "yaw rate targets": lambda way, modes: SteeredTurn.by(YawRate(), way),
+    "yaw rate targets at a standstill": lambda way, modes: SteeredTurn.by(
+        YawRate(STAND_AND_YAW_RATE, name=way.name), way
+    ),
+    "slow arcs": lambda way, modes: SteeredTurn.by(
+        YawRate(STAND_AND_YAW_RATE, forward_mps=way.forward_mps, name=way.name), way
+    ),
+    "attitude targets": lambda way, modes: SteeredTurn.by(AttitudeRate(), way),
+    "CONDITION_YAW": lambda way, modes: SteeredTurn.by(
+        YawStep(ends_within_s=way.ends_within_s), way, arrives=True
+    ),
+}
