@@ -19,7 +19,7 @@ from mavcompass.procedure.autopilot_heading import OwnHeading
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.desk import Desk
 from mavcompass.procedure.dialect import CutShort, Dialect, Overrides, SaveUndo, WriteOutcome
-from mavcompass.procedure.motion import Wishes
+from mavcompass.procedure.motion import Mobility
 from mavcompass.procedure.positions import Mover, Window, prove, visit
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Ask, Context, Script, ask
@@ -150,8 +150,10 @@ class _Calibration:
     def calibrate(self) -> Script[CalibrationReport]:
         """Visit the positions, solve, write, prove; give the vehicle back however it ends."""
         desk, settings, finished = self.desk, self.settings, False
-        mobility = desk.mobility(
-            Wishes(settings.moved_by, settings.turn_by, settings.permissions, settings.limits), self.overrides
+        mobility = Mobility(
+            *(desk.identity, desk.state, desk.gyro, desk.rest),
+            *(settings.moved_by, settings.turn_by, settings.permissions, settings.limits),
+            self.overrides,
         )
         self.writer = writer = Writer(
             desk, self.overrides.save_undo, settings.writing == "ask", self.own.expect
@@ -250,12 +252,13 @@ class _Calibration:
         yield from mover.release(desk.context)
         return windows
 
-    def heard(self, track: Track) -> tuple[int, ...]:
+    @property
+    def heard(self) -> tuple[int, ...]:
         """Return the compasses that readings came of; one that was named stays, and is missed.
 
         Parameters keep the ids of sensors that are no longer there.
         """
-        heard = tuple(i for i in self.instances if i in track.compasses)
+        heard = tuple(i for i in self.instances if i in self.desk.state.reporting)
         return self.instances if self.settings.instances else heard or self.instances
 
     def sureness_deg(self, start_s: float, end_s: float) -> float:
@@ -263,7 +266,7 @@ class _Calibration:
         track = self.desk.builder.build()
         near = around(track, start_s, end_s)
         try:
-            seen = [dwell_between(near, i, start_s, end_s) for i in self.heard(track)]
+            seen = [dwell_between(near, i, start_s, end_s) for i in self.heard]
         except (PoorCalibration, KeyError):
             return math.inf
         world = earth_field_of(track, self.settings.year)
@@ -275,7 +278,7 @@ class _Calibration:
         desk = self.desk
         track = desk.builder.build()
         world = earth_field_of(track, self.settings.year)
-        heard = self.heard(track)
+        heard = self.heard
         results = self.services.solve(track, heard, windows, world, self.settings, self.found)
         if self.settings.rewrite:
             results = tuple(replace(result, already_right=False) for result in results)

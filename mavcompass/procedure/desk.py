@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 from mavcompass import messages as mav
 from mavcompass.calibration.observation import WHEELED
 from mavcompass.errors import Refused
-from mavcompass.procedure.dialect import Dialect, Overrides, describe_compasses
-from mavcompass.procedure.motion import Mobility, Wishes
+from mavcompass.procedure.dialect import Dialect, describe_compasses
 from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.positions import DwellSettings, Mover, Rest, Sureness, Window, dwell
 from mavcompass.procedure.script import Context, Script, expect
@@ -106,10 +105,6 @@ class Desk:
         """List the messages that carry these compasses; the first one's brings the gyro along."""
         kinds = carriers(self.identity.autopilot)
         return {kinds[i]: rate_hz for i in sorted({1, *instances}) if i in kinds}
-
-    def mobility(self, wishes: Wishes, overrides: Overrides | None = None) -> Mobility:
-        """Return what chooses who turns the vehicle; with `overrides` it may set an arming check aside."""
-        return Mobility(self.identity, self.state, self.gyro, self.rest, wishes, overrides)
 
     def dwell(
         self, mover: Mover, settings: DwellSettings, sureness: Sureness | None = None

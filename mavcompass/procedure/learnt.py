@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from mavcompass.procedure.dialect import Dialect, Overrides, ParameterPlan, Save
 from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Context, Script, expect, pause
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.procedure.writing import Writer
 
 # A heading is compared with the autopilot's over so long a rest; who does not rest is not waited for.
@@ -27,26 +28,16 @@ _REST_S, _REST_WITHIN_S = 1.5, 6.0
 _SAME = 1e-3
 
 
-@dataclass(frozen=True, slots=True)
-class LearntSettings:
-    """Say how: `asks` before it `writes`, or does not; `year`: decimal, where the vehicle has none."""
-
-    asks: bool = True
-    writes: bool = True
-    system: int | None = None
-    rate_hz: float = 25.0
-    year: float = 2026.0
-
-
 def write_learnt(
     context: Context,
     dialect_for: Callable[[str], Dialect],
     save_undo: SaveUndo,
     results: Sequence[CalibrationResult],
-    settings: LearntSettings,
+    settings: CalibrateSettings,
 ) -> Script[CalibrationReport]:
     """Write results that were found beforehand, with consent, into a vehicle that is disarmed.
 
+    Of the settings `writing`, `system`, `rate_hz` and `year` are heeded.
     Raises Refused where it is armed, or another calibration is in force than the one they improve;
     LinkError where it cannot be heard; WriteFailed where values were left half written.
     """
@@ -77,7 +68,7 @@ def write_learnt(
         duration_s=0.0,
         vehicle=desk.vehicle,
     )
-    if not settings.writes:
+    if settings.writing == "never":
         return report
     try:
         wanted = desk.imu_rates(tuple(result.instance for result in results), settings.rate_hz)
@@ -88,7 +79,7 @@ def write_learnt(
             mav.GlobalPositionInt: 4.0,
         }
         yield from rates.ask(context, wanted)
-        report = yield from Writer(desk, save_if_disarmed, settings.asks).write(report)
+        report = yield from Writer(desk, save_if_disarmed, settings.writing == "ask").write(report)
         if report.outcome is not None and (yield from _rested(desk)):
             now_s = desk.rest.time_s
             own.found(results, [(now_s - _REST_S, now_s)])

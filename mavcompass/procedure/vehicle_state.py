@@ -160,6 +160,20 @@ def metres_from(start: mav.GlobalPositionInt, place: mav.GlobalPositionInt) -> t
     return (place.lat - start.lat) * 1e-7 * _M_PER_DEG, east_m
 
 
+# Where the latest of a message is kept, whatever is in it.
+_KEPT: dict[type[mav.Message], str] = {
+    mav.Heartbeat: "heartbeat",
+    mav.EkfStatusReport: "ekf",
+    mav.EstimatorStatus: "estimator",
+    mav.SysStatus: "battery",
+    mav.RcChannels: "sticks",
+    mav.ExtendedSysState: "landed",
+    mav.FenceStatus: "fence",
+    mav.GpsRawInt: "gps",
+    mav.SystemTime: "utc",
+}
+
+
 @dataclass(slots=True)
 class VehicleState:
     """Keep the latest of what the vehicle says of itself; `hear` is a listener of a Context.
@@ -191,32 +205,16 @@ class VehicleState:
             case mav.RawImu() | mav.ScaledImu():
                 if message.xmag or message.ymag or message.zmag:
                     self.reporting.add(telemetry.MAG_MESSAGES[message.wire_name()])
-            case mav.Heartbeat():
-                self.heartbeat = message
             case mav.Attitude(roll=roll, pitch=pitch) if math.isfinite(roll) and math.isfinite(pitch):
                 self.attitude = message
             case mav.GlobalPositionInt(lat=lat, lon=lon) if abs(lat) <= 900_000_000 >= abs(lon) // 2:
                 self.place = message
             case mav.LocalPositionNed(x=x, y=y, z=z) if all(map(math.isfinite, (x, y, z))):
                 self.local = message
-            case mav.EkfStatusReport():
-                self.ekf = message
-            case mav.EstimatorStatus():
-                self.estimator = message
-            case mav.SysStatus():
-                self.battery = message
-            case mav.RcChannels():
-                self.sticks = message
-            case mav.ExtendedSysState():
-                self.landed = message
-            case mav.FenceStatus():
-                self.fence = message
-            case mav.GpsRawInt():
-                self.gps = message
-            case mav.SystemTime():
-                self.utc = message
             case mav.Statustext():
                 self.texts.append(printable(message.text))
+            case _ if (name := _KEPT.get(type(message))) is not None:
+                setattr(self, name, message)
 
     @property
     def armed(self) -> bool:

@@ -12,9 +12,7 @@ from mavcompass.calibration.observation import Dwell, FourPositionData, Step
 from mavcompass.calibration.result import DEFAULT_LIMITS
 from mavcompass.calibration.rigid import DEFAULT_PRIOR
 from mavcompass.procedure.check import CheckSettings
-from mavcompass.procedure.learnt import LearntSettings
 from mavcompass.procedure.motion import Permissions
-from mavcompass.procedure.motion.mobility import Wishes
 from mavcompass.procedure.motion.safety import SafetyLimits
 from mavcompass.procedure.positions import DwellSettings, HandMover, Rest
 from mavcompass.procedure.script import Context
@@ -59,8 +57,6 @@ BY_HAND = {
         (Permissions(), MAY),
         (CalibrateSettings(), CALIBRATE),
         (CheckSettings(), {"turn": "none", "system": None, "rate_hz": 25.0, "year": 2026.0}),
-        (LearntSettings(), {"asks": True, "writes": True, "system": None, "rate_hz": 25.0, "year": 2026.0}),
-        (Wishes(), {"motion": "auto", "turn_by": "auto", "permissions": Permissions()}),
         (HandMover(GyroAngle(), Rest()), BY_HAND),
         (DEFAULT_PRIOR, PRIOR),
         (DEFAULT_LIMITS, {"heading_deg": 2.0}),

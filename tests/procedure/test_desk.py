@@ -11,7 +11,7 @@ from mavcompass import messages as mav
 from mavcompass.errors import Refused
 from mavcompass.kinds import Kind
 from mavcompass.procedure.desk import Desk
-from mavcompass.procedure.motion import Mobility, Wishes
+from mavcompass.procedure.motion import Mobility
 from mavcompass.procedure.motion.readiness import Permissions
 from mavcompass.procedure.motion.safety import MotionGuard, SafetyLimits
 from mavcompass.procedure.positions import HandMover, Rest, VehicleMover
@@ -82,7 +82,7 @@ class Charge:
         place = mav.GlobalPositionInt(lat=470_000_000, lon=80_000_000, relative_alt=5000)
         self.heard = (beat, place)
         self.mobility = Mobility(
-            VehicleIdentity(1, 1, "ardupilot", kind), self.state, GyroAngle(), Rest(), Wishes(**wishes)
+            VehicleIdentity(1, 1, "ardupilot", kind), self.state, GyroAngle(), Rest(), **wishes
         )
 
     def taken(self, parameters: dict[str, float] | None = None) -> Machine[Any]:

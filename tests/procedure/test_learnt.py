@@ -14,9 +14,10 @@ from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
 from mavcompass.enums import MavCmd
 from mavcompass.errors import Refused
-from mavcompass.procedure.learnt import LearntSettings, write_learnt
+from mavcompass.procedure.learnt import write_learnt
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Context, Machine, Script
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.dialects import make_dialect
@@ -47,7 +48,7 @@ class Ground:
         self.vehicle.receive = witness  # type: ignore[method-assign, assignment]
 
     def writes(
-        self, settings: LearntSettings, yes: bool = True, arms: bool = False, **more: Any
+        self, settings: CalibrateSettings, yes: bool = True, arms: bool = False, **more: Any
     ) -> CalibrationReport:
         def save(plan: Any, values: Any, vehicle: Any) -> Path:
             self.saved.append({change.name: change.old for change in plan.changes})
@@ -73,7 +74,7 @@ class Ground:
 def test_it_is_asked_written_and_compared_with_the_autopilots_heading() -> None:
     ground = Ground()
     bent_deg = heading_error_rms_deg(ground.vehicle)
-    report = ground.writes(LearntSettings())
+    report = ground.writes(CalibrateSettings())
     assert report.written and report.windows == () and report.proof is None
     assert heading_error_rms_deg(ground.vehicle) < 0.05 < bent_deg
     (before,) = ground.saved
@@ -86,7 +87,7 @@ def test_it_is_asked_written_and_compared_with_the_autopilots_heading() -> None:
 
 def test_the_messages_that_tell_the_heading_are_asked_for_and_put_back() -> None:
     ground = Ground()
-    ground.writes(LearntSettings(rate_hz=20.0))
+    ground.writes(CalibrateSettings(rate_hz=20.0))
     asked = {number for number, _ in ground.rates(MavCmd.GET_MESSAGE_INTERVAL)}
     kinds = (mav.RawImu, mav.Attitude, mav.EkfStatusReport, mav.SystemTime, mav.GlobalPositionInt)
     assert {mav.message_id(kind) for kind in kinds} <= asked
@@ -103,7 +104,7 @@ def test_the_messages_that_tell_the_heading_are_asked_for_and_put_back() -> None
 def test_a_no_leaves_all_as_it_was_and_compares_nothing() -> None:
     ground = Ground()
     bent_deg = heading_error_rms_deg(ground.vehicle)
-    report = ground.writes(LearntSettings(), yes=False)
+    report = ground.writes(CalibrateSettings(), yes=False)
     assert not report.written and report.outcome is None and report.heading is None and ground.saved == []
     assert report.messages[-1] == "Cancelled."
     assert heading_error_rms_deg(ground.vehicle) == bent_deg
@@ -111,9 +112,9 @@ def test_a_no_leaves_all_as_it_was_and_compares_nothing() -> None:
 
 def test_who_does_not_ask_writes_and_who_does_not_write_asks_the_vehicle_nothing() -> None:
     ground = Ground()
-    assert ground.writes(LearntSettings(asks=False), yes=False).written
+    assert ground.writes(CalibrateSettings(writing="yes"), yes=False).written
     shy = Ground()
-    report = shy.writes(LearntSettings(writes=False))
+    report = shy.writes(CalibrateSettings(writing="never"))
     assert not report.written and report.plan is None and shy.rates() == [] and shy.saved == []
     assert [result.instance for result in report.results] == [1]
 
@@ -121,7 +122,7 @@ def test_who_does_not_ask_writes_and_who_does_not_write_asks_the_vehicle_nothing
 def test_what_is_armed_is_not_written_into_nor_what_arms_before_the_answer() -> None:
     for ground, arms in ((Ground(armed=True), False), (Ground(), True)):
         with pytest.raises(Refused) as refused:
-            ground.writes(LearntSettings(), arms=arms)
+            ground.writes(CalibrateSettings(), arms=arms)
         assert refused.value.what == "The vehicle is armed: what was learnt is written on the ground only."
         assert ground.saved == []
 
@@ -129,5 +130,5 @@ def test_what_is_armed_is_not_written_into_nor_what_arms_before_the_answer() -> 
 def test_what_was_changed_since_it_was_learnt_is_refused() -> None:
     ground = Ground()
     with pytest.raises(Refused) as refused:
-        ground.writes(LearntSettings(), in_force=FieldCorrection((1.0, 2.0, 3.0)))
+        ground.writes(CalibrateSettings(), in_force=FieldCorrection((1.0, 2.0, 3.0)))
     assert refused.value.what == "The calibration of compass 1 was changed since this was learnt."

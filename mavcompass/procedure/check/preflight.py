@@ -29,7 +29,7 @@ from mavcompass.procedure.check.report import CheckReport
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.desk import Desk, carriers
 from mavcompass.procedure.dialect import Dialect
-from mavcompass.procedure.motion import Mobility, SafetyLimits, Wishes
+from mavcompass.procedure.motion import Mobility, Motion, SafetyLimits
 from mavcompass.procedure.positions import DwellSettings, Mover, VehicleMover, Window
 from mavcompass.procedure.script import Context, Script
 from mavcompass.procedure.turning import strategies_for
@@ -264,8 +264,11 @@ class _Checker:
             return "it is disarmed"
         elif not strategies_for(self.desk.identity.kind, self.desk.identity.autopilot):
             return f"this {self.desk.identity.autopilot} {self.desk.identity.kind} cannot turn on the spot"
-        wishes = Wishes("hand" if self.settings.turn == "hand" else "vehicle", limits=self.settings.limits)
-        self.mobility = self.desk.mobility(wishes)
+        desk = self.desk
+        motion: Motion = "hand" if self.settings.turn == "hand" else "vehicle"
+        self.mobility = Mobility(
+            *(desk.identity, desk.state, desk.gyro, desk.rest), motion, limits=self.settings.limits
+        )
         try:
             self.mover = yield from self.mobility.take_charge(self.desk.context, self.desk.parameters)
         except Refused as why:

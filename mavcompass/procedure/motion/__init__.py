@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mavcompass.procedure.motion.mobility import Mobility, Motion, Wishes
+from mavcompass.procedure.motion.mobility import Mobility, Motion
 from mavcompass.procedure.motion.readiness import Permissions, Readiness
 from mavcompass.procedure.motion.safety import SafetyLimits
 
@@ -12,5 +12,4 @@ __all__ = [
     "Permissions",
     "Readiness",
     "SafetyLimits",
-    "Wishes",
 ]

@@ -29,25 +29,23 @@ Motion = Literal["auto", "vehicle", "hand", "none"]
 _ACKERMANN_STEERING = 26.0
 
 
-@dataclass(frozen=True, slots=True)
-class Wishes:
-    """Hold what the person wants of the motion; see `CalibrateSettings`."""
-
-    motion: Motion = "auto"
-    turn_by: TurnBy = "auto"
-    permissions: Permissions = field(default_factory=Permissions)
-    limits: SafetyLimits = field(default_factory=SafetyLimits)
-
-
 @dataclass(slots=True)
 class Mobility:
-    """Choose who turns the vehicle, watch over it while it turns itself, put back what was changed."""
+    """Choose who turns the vehicle, watch over it while it turns itself, put back what was changed.
+
+    Attributes:
+        motion, turn_by, permissions, limits: as the person wants it; see `CalibrateSettings`.
+        overrides: with these it may set an arming check aside.
+    """
 
     identity: VehicleIdentity
     state: VehicleState
     gyro: GyroAngle
     rest: Rest
-    wishes: Wishes
+    motion: Motion = "auto"
+    turn_by: TurnBy = "auto"
+    permissions: Permissions = field(default_factory=Permissions)
+    limits: SafetyLimits = field(default_factory=SafetyLimits)
     overrides: Overrides | None = None
     mover: Mover | None = None
     _modes: ModeKeeper = field(init=False)
@@ -64,17 +62,17 @@ class Mobility:
         """
         while self.state.heartbeat is None:
             yield context.now + 1.0
-        if self.wishes.motion == "none":
+        if self.motion == "none":
             self.mover = Mover()  # it stays where it stands
             return self.mover
-        motion, armed, permissions = self.wishes.motion, self.state.armed, self.wishes.permissions
+        motion, armed, permissions = self.motion, self.state.armed, self.permissions
         if motion == "hand" and armed:
             raise Refused("The vehicle is armed: turning it by hand is not safe.", "Disarm it and run again.")
         if motion == "hand" or (motion == "auto" and not armed and not permissions.arm):
             self.mover = HandMover(self.gyro, self.rest)
             return self.mover
         strategies = self._strategies(parameters)
-        controls = self.wishes.turn_by != "auto"
+        controls = self.turn_by != "auto"
         self._readiness = Readiness(
             self.identity, self.state, self._modes, permissions, controls, self.overrides
         )
@@ -88,7 +86,7 @@ class Mobility:
     def _strategies(self, parameters: Mapping[str, float]) -> tuple[TurnStrategy, ...]:
         kind, autopilot = self.identity.kind, self.identity.autopilot
         strategies = strategies_for(
-            kind, autopilot, self._is_ackermann(parameters), self.wishes.turn_by, self._modes
+            kind, autopilot, self._is_ackermann(parameters), self.turn_by, self._modes
         )
         if not strategies:
             raise Refused(
@@ -98,12 +96,12 @@ class Mobility:
         return strategies
 
     def _watch(self, context: Context, parameters: Mapping[str, float]) -> None:
-        limits = self.wishes.limits
+        limits = self.limits
         kind, autopilot = self.identity.kind, self.identity.autopilot
         profile = vehicle_profile(kind, autopilot, self._is_ackermann(parameters))
         if profile is not None:
             limits = limits.with_drift(max(limits.drift_m, profile.drift_m))
-        ours = _channels_moved(self.wishes.turn_by, kind)
+        ours = _channels_moved(self.turn_by, kind)
         self._guard = MotionGuard(self.state, self.gyro, kind, limits, self._modes, ours)
         self._guard.begin()
         context.listeners.append(self._guard.hear)
@@ -119,7 +117,7 @@ class Mobility:
         if self.mover is not None:
             # In a mode that somebody else chose our commands would only disturb, a mission for one;
             # the pilot's own controls are given back in any.
-            if self.wishes.turn_by != "auto" or not self._modes.is_foreign():
+            if self.turn_by != "auto" or not self._modes.is_foreign():
                 self.mover.halt(context)
             yield from self.mover.release(context)
         if self._readiness is not None:

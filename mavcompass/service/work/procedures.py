@@ -13,7 +13,6 @@ from mavcompass.procedure.calibrate import Services, calibrate
 from mavcompass.procedure.check import CheckReport, CheckSettings
 from mavcompass.procedure.check import check as check_script
 from mavcompass.procedure.dialect import WriteOutcome
-from mavcompass.procedure.learnt import LearntSettings
 from mavcompass.procedure.learnt import write_learnt as write_learnt_script
 from mavcompass.procedure.motion import Permissions
 from mavcompass.procedure.nameplate import Nameplate
@@ -111,9 +110,7 @@ def write_learnt(
             "Nothing was learnt yet that would lower the heading error in force by the margin.",
             "Drive or fly on through all headings, or calibrate by four positions.",
         )
-    settings = LearntSettings(
-        request.writing == "ask", request.writing != "never", identity.system, rate_hz, year
-    )
+    settings = CalibrateSettings(writing=request.writing, system=identity.system, rate_hz=rate_hz, year=year)
     save = undo_saver(source, undo_folder, clock.now)
 
     def script(context: Context) -> Script[CalibrationReport]:

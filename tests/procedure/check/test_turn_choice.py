@@ -11,23 +11,30 @@ from mavcompass import messages as mav
 from mavcompass.earth_field import earth_field
 from mavcompass.enums import MavModeFlag
 from mavcompass.errors import Refused
-from mavcompass.procedure.check import CheckSettings
+from mavcompass.procedure.check import CheckSettings, preflight
 from mavcompass.procedure.check.preflight import _Checker
 from mavcompass.procedure.script import Context, Machine, Tick
 from mavcompass.procedure.vehicle_state import VehicleState
 
 
-def checker(turn: str, armed: bool = False, kind: str = "rover") -> _Checker:
+@pytest.fixture(autouse=True)
+def in_manual(monkeypatch: pytest.MonkeyPatch) -> None:
     def take_charge(context: Any, parameters: Any) -> Any:
         yield context.now
         raise Refused("The vehicle is in MANUAL.", "Switch it.")
 
+    refusing = SimpleNamespace(take_charge=take_charge)
+    monkeypatch.setattr(preflight, "Mobility", lambda *args, **more: refusing)
+
+
+def checker(turn: str, armed: bool = False, kind: str = "rover") -> _Checker:
     desk: Any = SimpleNamespace(
         context=Context(),
         identity=SimpleNamespace(kind=kind, autopilot="ardupilot"),
         state=VehicleState(heartbeat=mav.Heartbeat(base_mode=MavModeFlag.SAFETY_ARMED * armed)),
         parameters={},
-        mobility=lambda wishes: SimpleNamespace(take_charge=take_charge),
+        gyro=None,
+        rest=None,
     )
     return _Checker(desk, CheckSettings(turn=turn))  # type: ignore[arg-type]
 
