@@ -102,8 +102,13 @@ def worst(verdicts: Iterable[Verdict]) -> Verdict:
     return max(verdicts, key=_ORDER.index, default="pass")
 
 
-def _grade(value: float, warn: float, fail: float) -> Verdict:
-    return "pass" if value <= warn else "warn" if value <= fail else "fail"
+def _graded(
+    name: str, value: float, warn: float, fail: float, text: str, remedy: str, instance: int = 0
+) -> CheckItem:
+    """Grade how large a figure is; what passes needs no remedy."""
+    size = abs(value)
+    verdict: Verdict = "pass" if size <= warn else "warn" if size <= fail else "fail"
+    return CheckItem(name, verdict, text, "" if verdict == "pass" else remedy, instance, value, warn)
 
 
 def judge_offsets(instance: int, correction: FieldCorrection, calibrated: bool) -> CheckItem:
@@ -131,12 +136,9 @@ def judge_matrix(instance: int, correction: FieldCorrection) -> CheckItem:
     """Judge how much the matrix in force bends the field: the ratio of its singular values."""
     values = np.linalg.svd(correction.matrix, compute_uv=False)
     ratio = float(values[0] / values[-1]) if values[-1] > 0.0 else math.inf
-    verdict = _grade(ratio, 1.35, 2.5)
-    remedy = (
-        "" if verdict == "pass" else "Calibrate; if it comes out the same, look for iron near the compass."
-    )
+    remedy = "Calibrate; if it comes out the same, look for iron near the compass."
     text = f"Compass {instance}: matrix stretches one axis {ratio:.2f} times the other."
-    return CheckItem("matrix", verdict, text, remedy, instance, ratio, 1.35)
+    return _graded("matrix", ratio, 1.35, 2.5, text, remedy, instance)
 
 
 def judge_silence(instance: int, message: str, autopilot: str, steers: bool) -> CheckItem:
@@ -164,13 +166,11 @@ def judge_too_few(instance: int, message: str, readings: int, rate_hz: float) ->
 
 def judge_yaw(instance: int, off_deg: float, source: SteeringSource) -> CheckItem:
     """Judge the autopilot's own yaw, less the declination, against one compass's heading."""
-    verdict = _grade(abs(off_deg), 5.0, 15.0)
     steers = "which steers it" if source == instance else f"while {_STEERING[source]}"
     text = f"The autopilot's own yaw is {abs(off_deg):.1f} deg from compass {instance}, {steers}."
     own = "Let it settle and check again; if it stays, restart the autopilot."
     other = "Hold both against a landmark: either the compass is wrong, or what steers."
-    remedy = "" if verdict == "pass" else own if source == instance else other
-    return CheckItem("yaw", verdict, text, remedy, instance, off_deg, 5.0)
+    return _graded("yaw", off_deg, 5.0, 15.0, text, own if source == instance else other, instance)
 
 
 def judge_field(reading: Reading, world: EarthField | None) -> list[CheckItem]:
@@ -184,7 +184,6 @@ def judge_field(reading: Reading, world: EarthField | None) -> list[CheckItem]:
         return [CheckItem("field", "pass" if good else "fail", text, "" if good else remedy, i, total, high)]
     percent = 100.0 * (total / world.total_mgauss - 1.0)
     dip_deg = math.degrees(reading.dip_rad - world.inclination_rad)
-    strength, dip = _grade(abs(percent), 6.0, 15.0), _grade(abs(dip_deg), 3.0, 8.0)
     stronger = "stronger" if percent > 0 else "weaker"
     field_text = (
         f"Compass {i}: the field is {abs(percent):.1f} % {stronger} than the Earth's is here"
@@ -192,8 +191,8 @@ def judge_field(reading: Reading, world: EarthField | None) -> list[CheckItem]:
     )
     dip_text = f"Compass {i}: the field's dip is {abs(dip_deg):.1f} deg off the Earth's here."
     return [
-        CheckItem("field", strength, field_text, "" if strength == "pass" else remedy, i, percent, 6.0),
-        CheckItem("dip", dip, dip_text, "" if dip == "pass" else remedy, i, dip_deg, 3.0),
+        _graded("field", percent, 6.0, 15.0, field_text, remedy, i),
+        _graded("dip", dip_deg, 3.0, 8.0, dip_text, remedy, i),
     ]
 
 
@@ -218,9 +217,7 @@ def judge_agreement(sources: Mapping[int, HeadingSource]) -> list[CheckItem]:
 
 def _apart(instance: int, text: str, apart_deg: float, whom: str) -> CheckItem:
     remedy = f"Calibrate {whom}; if it stays, check the mounting orientation."
-    limit_deg = AGREEMENT_DEG
-    verdict = _grade(abs(apart_deg), limit_deg, 3.0 * limit_deg)
-    return CheckItem("agreement", verdict, text, remedy, instance, apart_deg, limit_deg)
+    return _graded("agreement", apart_deg, AGREEMENT_DEG, 3.0 * AGREEMENT_DEG, text, remedy, instance)
 
 
 def judge_gyro(rate_radps: FloatArray, turning: Sequence[tuple[float, float]] = ()) -> CheckItem:
@@ -233,11 +230,9 @@ def judge_gyro(rate_radps: FloatArray, turning: Sequence[tuple[float, float]] = 
     turned = float(weights @ [rate for rate, _ in turning]) / float(weights.sum()) if seen else 0.0
     sigma_dps = math.degrees(weights.sum() ** -0.5) if seen else 0.0
     bias_dps = float(np.degrees(np.linalg.norm(rate_radps.mean(axis=0) - [0.0, 0.0, turned])))
-    limit = math.hypot(0.7, 2.0 * sigma_dps)
-    verdict = _grade(bias_dps, limit, math.hypot(2.0, 2.0 * sigma_dps))
-    remedy = "" if verdict == "pass" else "Hold still and restart the autopilot, so that it learns the bias."
-    text = f"The gyro drifts by {bias_dps:.2f} deg/s at rest."
-    return CheckItem("gyro", verdict, text, remedy, 0, bias_dps, limit)
+    warn, fail = (math.hypot(limit, 2.0 * sigma_dps) for limit in (0.7, 2.0))
+    remedy = "Hold still and restart the autopilot, so that it learns the bias."
+    return _graded("gyro", bias_dps, warn, fail, f"The gyro drifts by {bias_dps:.2f} deg/s at rest.", remedy)
 
 
 def judge_level(acc: Series | None) -> CheckItem | None:
@@ -265,11 +260,9 @@ def judge_estimator(said: mav.EkfStatusReport | mav.EstimatorStatus | None) -> C
         return CheckItem("estimator", "fail", "The attitude estimate is not healthy.", remedy)
     # Innovations by what is allowed of them: PX4 does not arm above 0.5 (COM_ARM_EKF_YAW), rejects above 1.
     ratio = said.compass_variance if isinstance(said, mav.EkfStatusReport) else said.mag_ratio
-    limits = (0.5, 0.8) if ardupilot else (0.5, 1.0)
-    verdict = _grade(ratio, *limits)
-    remedy = "" if verdict == "pass" else "Wait a minute; if it stays, calibrate and restart the autopilot."
+    remedy = "Wait a minute; if it stays, calibrate and restart the autopilot."
     text = f"The autopilot's estimator gives the compass a variance of {ratio:.2f}."
-    return CheckItem("estimator", verdict, text, remedy, 0, ratio, limits[0])
+    return _graded("estimator", ratio, 0.5, 0.8 if ardupilot else 1.0, text, remedy)
 
 
 def judge_prearm(texts: Iterable[str]) -> list[CheckItem]:
@@ -286,10 +279,8 @@ def judge_turn(instance: int, field_turned_deg: float, gyro_turned_deg: float, s
     """Judge a turn as the compass saw it against the gyro's, given what is not known of the difference."""
     off_deg = math.degrees(float(wrap_pi(math.radians(field_turned_deg - gyro_turned_deg))))
     limit_deg = max(3.0, 3.0 * sigma_deg)
-    verdict = _grade(abs(off_deg), limit_deg, max(8.0, 2.0 * limit_deg))
-    remedy = "" if verdict == "pass" else "Calibrate."
     text = (
         f"Turned by compass {instance} {field_turned_deg:.1f} deg, by the gyro {gyro_turned_deg:.1f} deg"
         f" ({off_deg:+.1f})."
     )
-    return CheckItem("turn", verdict, text, remedy, instance, off_deg, limit_deg)
+    return _graded("turn", off_deg, limit_deg, max(8.0, 2.0 * limit_deg), text, "Calibrate.", instance)

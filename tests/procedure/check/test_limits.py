@@ -289,7 +289,7 @@ def test_the_report_says_its_worst(told: CheckReport, says: str, advised: bool) 
     ("value", "verdict"), [(5.0, "pass"), (5.001, "warn"), (15.0, "warn"), (15.001, "fail")]
 )
 def test_what_lies_at_a_limit_is_on_its_better_side(value: float, verdict: Verdict) -> None:
-    assert items._grade(value, 5.0, 15.0) == verdict
+    assert items.judge_yaw(1, value, 1).verdict == items.judge_yaw(1, -value, 1).verdict == verdict
 
 
 def test_limits_of_offsets_and_of_the_earths_field_are_within() -> None:
