@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 import click
 
-from mavcompass.cli.options import Grouped, Number, Output, Whole, common_options
+from mavcompass.cli.options import FILE, Grouped, Number, Output, Whole, common_options, report_option
 from mavcompass.cli.source import (
     compass_option,
     effects_option,
@@ -145,17 +145,15 @@ _HELP = {
 @click.option(
     "--in-force",
     "in_force_file",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     help="Parameters that were in force, for a recording without them.",
 )
 @click.option(
     "--params-out",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     help="Write the new values to a .param, .parm or .params file too.",
 )
-@click.option(
-    "--report", "report_file", type=click.Path(dir_okay=False, path_type=Path), help="Write an HTML report."
-)
+@report_option
 @sign_key_option
 @common_options
 def command(

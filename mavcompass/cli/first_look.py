@@ -28,7 +28,7 @@ _ACTS = {
 
 def look_around() -> list[str]:
     """Find vehicles, let the person choose one and what to do; return the command for it, or none."""
-    from mavcompass.cli.doctor.computer import ports_of
+    from mavcompass.cli.doctor import ports_of
 
     places = [*map(str, ports_of()), *PLACES]
     click.echo(f"Looking for vehicles: {', '.join(places)} ...")

@@ -6,13 +6,12 @@ import math
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from mavcompass.cli.options import Number, Output, Whole, common_options, to_json
+from mavcompass.cli.options import FILE, Number, Output, Whole, common_options, to_json
 from mavcompass.cli.source import require_for, sign_key_option, system_option
 from mavcompass.cli.terminal.colour import is_live
 from mavcompass.cli.terminal.dial import dial
@@ -20,19 +19,27 @@ from mavcompass.errors import UsageError
 from mavcompass.installation.parts import require
 
 if TYPE_CHECKING:
+    from mavcompass.heading.stream import HeadingResult
     from mavcompass.track import Track
+    from mavcompass.vehicle.heading_stream import LiveHeading
     from mavcompass.vehicle.transport import Address
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
-    """Hold one heading as it is shown; degrees."""
+class Row(NamedTuple):
+    """Hold one heading as it is shown; degrees, None for what is not known."""
 
     time_s: float
     magnetic_deg: float
+    sigma_deg: float
     true_deg: float | None
     grid_deg: float | None
-    sigma_deg: float
+
+    @classmethod
+    def of(cls, heading: LiveHeading) -> Row:
+        """Take a heading in radians."""
+        true, grid = (None if a is None else math.degrees(a) for a in (heading.true_rad, heading.grid_rad))
+        magnetic, sigma = math.degrees(heading.magnetic_rad), math.degrees(heading.sigma_rad)
+        return cls(heading.boot_s, magnetic, sigma, true, grid)
 
     def text(self) -> str:
         """Return a line for a person."""
@@ -51,13 +58,10 @@ class Row:
 
     def document(self) -> dict[str, Any]:
         """Return the JSON form."""
-        return {
-            "time_s": round(self.time_s, 4),
-            "magnetic_deg": round(self.magnetic_deg, 3),
-            "true_deg": None if self.true_deg is None else round(self.true_deg, 3),
-            "grid_deg": None if self.grid_deg is None else round(self.grid_deg, 3),
-            "sigma_deg": round(self.sigma_deg, 3),
-        }
+        degrees = ("magnetic_deg", "true_deg", "grid_deg", "sigma_deg")
+        told = {name: getattr(self, name) for name in degrees}
+        rounded = {name: None if value is None else round(value, 3) for name, value in told.items()}
+        return {"time_s": round(self.time_s, 4), **rounded}
 
 
 @click.command()
@@ -70,7 +74,7 @@ class Row:
 @click.option(
     "--mcap",
     "mcap_file",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     help="Write a recording's fields, headings and verdicts to an MCAP file (ROS 2 messages), too.",
 )
 @system_option
@@ -108,14 +112,16 @@ def command(
     redrawn = not (recorded or json_lines or output.json_file == "-")
     if recorded:
         from mavcompass.api import read_track
+        from mavcompass.heading.stream import heading_of_track
 
         track = read_track(source)
+        found = heading_of_track(track, None, instance, two_axis=two_axis)
         if mcap_file is not None:
             from mavcompass.report.bag import write_bag
 
-            write_bag(track, mcap_file)
+            write_bag(track, mcap_file, {} if two_axis else {instance: found})
             click.echo(f"Written: {mcap_file}", err=True)
-        rows = _recorded(track, instance, two_axis, notes)
+        rows = _recorded(track, instance, found, notes)
     else:
         # Where a person looks on, a simulated vehicle's time is theirs.
         speed = 1.0 if redrawn and is_live(sys.stdout) else None
@@ -160,21 +166,17 @@ def _limited(rows: Iterator[Row], rate_hz: float | None, duration_s: float | Non
             yield row
 
 
-def _recorded(track: Track, instance: int, two_axis: bool, notes: list[str]) -> Iterator[Row]:
+def _recorded(track: Track, instance: int, found: HeadingResult, notes: list[str]) -> Iterator[Row]:
     import numpy as np
 
-    from mavcompass.heading.stream import heading_of_track
     from mavcompass.parameter_remarks import remarks_said
 
-    found = heading_of_track(track, None, instance, two_axis=two_axis)
     notes += remarks_said(track.autopilot, track.parameters, instance)
+    columns = (found.magnetic_rad, found.sigma_rad, found.true_rad, found.grid_rad)
     nothing = np.full(len(found.time_s), np.nan)
-    true, grid = (nothing if a is None else np.degrees(a) for a in (found.true_rad, found.grid_rad))
-    table = np.stack(
-        [found.time_s, np.degrees(found.magnetic_rad), true, grid, np.degrees(found.sigma_rad)], axis=1
-    )
-    for time_s, magnetic, t, g, sigma in table.tolist():
-        yield Row(time_s, magnetic, None if t != t else t, None if g != g else g, sigma)
+    degrees = [nothing if column is None else np.degrees(column) for column in columns]
+    for row in np.stack([found.time_s, *degrees], axis=1).tolist():
+        yield Row(*row[:3], *(None if math.isnan(value) else value for value in row[3:]))
 
 
 def _live(
@@ -202,12 +204,4 @@ def _live(
             system=system,
             on_notes=notes.extend,
         )
-        for heading in stream:
-            true, grid = heading.true_rad, heading.grid_rad
-            yield Row(
-                heading.boot_s,
-                math.degrees(heading.magnetic_rad),
-                None if true is None else math.degrees(true),
-                None if grid is None else math.degrees(grid),
-                math.degrees(heading.sigma_rad),
-            )
+        yield from map(Row.of, stream)

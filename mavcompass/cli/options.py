@@ -177,6 +177,12 @@ def _raise_verbosity(context: click.Context, parameter: click.Parameter, value: 
     logging.getLogger("mavcompass").setLevel(logging.INFO if total == 1 else logging.DEBUG)
 
 
+# A file to be written, and one to be read.
+FILE = click.Path(dir_okay=False, path_type=Path)
+THERE = click.Path(exists=True, dir_okay=False, path_type=Path)
+report_option = click.option("--report", "report_file", type=FILE, help="Write an HTML report.")
+
+
 def verbose_option(function: Function) -> Function:
     """Let a command take `-v`; it handles it itself and passes nothing to the function."""
     return click.option(

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from mavcompass.cli.options import Number, verbose_option
+from mavcompass.cli.options import FILE, Number, verbose_option
 from mavcompass.cli.source import require_for, sign_key_option, system_option
 from mavcompass.cli.terminal.colour import wrapped
 from mavcompass.errors import UsageError
@@ -30,7 +30,7 @@ def _print_config(context: click.Context, parameter: click.Parameter, wanted: bo
     "--config",
     "config_file",
     metavar="FILE.toml",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     help="Configuration; what is given here goes before it.",
 )
 @click.option(

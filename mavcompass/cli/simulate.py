@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mavcompass.cli.options import Output, Whole, common_options
+from mavcompass.cli.options import FILE, Output, Whole, common_options
 from mavcompass.cli.serving import listen_option, quiet_option, serve, speed_option
 from mavcompass.cli.source import require_for
 from mavcompass.errors import UsageError
@@ -58,7 +58,7 @@ def recording_to(tlog: Path, utc_start_s: float) -> Iterator[Record]:
 @click.option("--disarmed", is_flag=True, help="Start at power-up, disarmed (default: armed and ready).")
 @click.option(
     "--tlog",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     help="Record what the vehicle sends to its first client.",
 )
 @quiet_option

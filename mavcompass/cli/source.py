@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mavcompass.calibration.methods import method_names
-from mavcompass.cli.options import Number, Whole
+from mavcompass.cli.options import THERE, Number, Whole
 from mavcompass.errors import UsageError
 from mavcompass.installation.parts import require
 from mavcompass.vehicle.transport import Address, Recording, Serial, parse_address
@@ -74,7 +74,7 @@ def _sign_key(context: click.Context, parameter: click.Parameter, value: Path | 
 
 sign_key_option = click.option(
     "--sign-key",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=THERE,
     callback=_sign_key,
     expose_value=False,
     help="Sign what is sent with the key in this file, and drop what is not signed with it.",

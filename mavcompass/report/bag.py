@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -70,12 +71,14 @@ class _Messages:
 _Row = tuple[str, str, float, dict[str, Any]]
 
 
-def write_bag(track: Track, path: Path) -> None:
+def write_bag(track: Track, path: Path, known: Mapping[int, HeadingResult] = MappingProxyType({})) -> None:
     """Write a recording, its headings, and how far each compass is from the Earth's field, to an MCAP file.
 
     Topics: `/imu`, `/fix`; for each compass N `/compass_N/raw` (tesla), `/compass_N/field` (corrected by what
     is in force), `/compass_N/residual` (that less the Earth's field at its own heading; both milligauss),
     `/compass_N/magnetic` and `/compass_N/true` (azimuths), and in `/diagnostics` what a calibration says.
+
+    `known` are headings of compasses, from 1, that were computed before: they are not computed again.
 
     Raises UsageError where the rosbags package is missing, BadRecording where a heading cannot be computed.
     """
@@ -84,7 +87,7 @@ def write_bag(track: Track, path: Path) -> None:
 
     messages = _Messages()
     start_s = track.utc_offset_s or 0.0
-    rows = sorted((*_vehicle(track, messages), *_compasses(track, messages)), key=lambda row: row[2])
+    rows = sorted((*_vehicle(track, messages), *_compasses(track, messages, known)), key=lambda row: row[2])
     with tempfile.TemporaryDirectory(dir=path.parent) as folder:
         bag = Path(folder) / path.stem
         topics: dict[str, Any] = {}
@@ -137,7 +140,7 @@ def _vehicle(track: Track, messages: _Messages) -> Iterator[_Row]:
             yield "/fix", "sensor_msgs/msg/NavSatFix", at_s, values
 
 
-def _compasses(track: Track, messages: _Messages) -> Iterator[_Row]:
+def _compasses(track: Track, messages: _Messages, known: Mapping[int, HeadingResult]) -> Iterator[_Row]:
     """Yield what each compass read, what it was made into, and what a calibration of it says."""
     said = []
     for instance, compass in sorted(track.compasses.items()):
@@ -146,7 +149,7 @@ def _compasses(track: Track, messages: _Messages) -> Iterator[_Row]:
         for at_s, row in zip(compass.time_s.tolist(), raw.tolist(), strict=True):
             values = {"magnetic_field": messages.vector(row), "magnetic_field_covariance": _UNKNOWN}
             yield f"{topic}/raw", "sensor_msgs/msg/MagneticField", at_s, values
-        heading = heading_of_track(track, None, instance)
+        heading = known.get(instance) or heading_of_track(track, None, instance)
         vectors = {"field": compass.reported.values, "residual": _residual(track, heading, instance)}
         for name, column in vectors.items():
             if column is None:

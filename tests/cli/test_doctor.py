@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from mavcompass.cli.doctor import computer
+from mavcompass.cli import doctor as computer
 from mavcompass.cli.main import main
 
 

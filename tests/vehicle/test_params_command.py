@@ -83,7 +83,7 @@ def test_show_in_a_pipe_is_a_file_that_mavproxy_loads(
 def test_show_on_a_terminal_is_a_table_with_a_column_per_compass(
     hangar: Hangar, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mavcompass.cli.params.view._is_table_wanted", lambda output: True)
+    monkeypatch.setattr("mavcompass.cli.params._is_table_wanted", lambda output: True)
     assert main(["params", "show", SOURCE]) == 0
     table = capsys.readouterr().out
     assert "compass 1" in table and "compass 3" in table

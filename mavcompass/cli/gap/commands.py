@@ -8,8 +8,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mavcompass.cli.gap.shared import baseline_option, compass_option, diagnosed, say_summary
-from mavcompass.cli.options import Commands, Output, Whole, common_options
+from mavcompass.cli.gap.shared import (
+    baseline_option,
+    compass_option,
+    diagnosed,
+    say_comparison,
+    say_summary,
+    showing_progress,
+    write_report,
+)
+from mavcompass.cli.options import FILE, THERE, Commands, Output, Whole, common_options, report_option
 from mavcompass.cli.source import reference_option, require_for
 from mavcompass.errors import UsageError
 from mavcompass.files import write_text
@@ -32,14 +40,14 @@ def command() -> None:
 @command.command()
 @click.argument(
     "logs", metavar="LOG...", nargs=-1, required=True,
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=THERE,
 )  # fmt: skip
 @compass_option
 @baseline_option
 @click.option("--thorough", is_flag=True, help="Compare more readings of a long recording; takes longer.")
 @click.option("--withhold", multiple=True, metavar="EFFECT", help="Do not use this effect and its aliases.")
 @reference_option
-@click.option("--report", type=click.Path(dir_okay=False, path_type=Path), help="Write an HTML report.")
+@report_option
 @common_options
 def diagnose(
     logs: tuple[Path, ...],
@@ -48,7 +56,7 @@ def diagnose(
     thorough: bool,
     withhold: tuple[str, ...],
     reference: str,
-    report: Path | None,
+    report_file: Path | None,
     output: Output,
 ) -> None:
     """Say where the gap lies, which effect causes it, and how far it shrinks with that effect.
@@ -58,8 +66,8 @@ def diagnose(
     \b
     Example: mavcompass gap diagnose flight.tlog --baseline good.tlog --json gap.json
     """
-    require_for(*logs, baseline, report=report)
-    if report is not None and len(logs) > 1:
+    require_for(*logs, baseline, report=report_file)
+    if report_file is not None and len(logs) > 1:
         raise UsageError("A report shows one recording.", "Name one recording, or leave --report out.")
     found = [diagnosed(log, instance, baseline, withhold, reference, thorough) for log in logs]
     for log, diagnosis in zip(logs, found, strict=True):
@@ -76,11 +84,49 @@ def diagnose(
         output.write_json(vehicle.to_json())
     else:
         output.write_json(diagnosis.to_json())
-    if report is not None:
+    if report_file is not None:
         from mavcompass.report.gap import write_gap_report
 
-        write_gap_report(diagnosis, report)
-        output.say(f"Report: {report}")
+        write_gap_report(diagnosis, report_file)
+        output.say(f"Report: {report_file}")
+
+
+@command.command()
+@click.argument("simulator", metavar="SIM", type=THERE)
+@click.argument("vehicle", metavar="REAL", type=THERE)
+@click.argument("again", metavar="[SIM2]...", nargs=-1, type=THERE)
+@compass_option
+@report_option
+@common_options
+def compare(
+    simulator: Path,
+    vehicle: Path,
+    again: tuple[Path, ...],
+    instance: int,
+    report_file: Path | None,
+    output: Output,
+) -> None:
+    """Say what a simulator's recording lacks beside the vehicle's, and the vehicle's beside it.
+
+    SIM2, the simulator flown again with what `gap export REAL --baseline SIM` wrote, tells how much of the
+    promised shrink was achieved. Trajectory, place and rates may differ.
+
+    \b
+    Example: mavcompass gap compare sitl.tlog flight.tlog sitl_again.tlog --report closed.html
+    """
+    require_for(simulator, vehicle, *again, report=report_file)
+    with showing_progress(vehicle.name) as progress:
+        from mavcompass.gap.comparison import compare as compared
+        from mavcompass.logs import read_track
+
+        tracks = [read_track(log) for log in (simulator, vehicle, *again)]
+        comparison = compared(tracks[0], tracks[1], tracks[2:], instance, progress)
+    say_comparison(comparison, output)
+    if not again and any(d.lacks == "simulator" for d in comparison.differences):
+        logs = f"{shlex.quote(str(vehicle))} --baseline {shlex.quote(str(simulator))}"
+        output.say(f"  next: {program()} gap export {logs} --to ardupilot-sitl found.parm")
+    output.write_json(comparison.to_json())
+    write_report(comparison, report_file, output)
 
 
 @command.command()
@@ -130,7 +176,7 @@ def _effect(effect: object) -> dict[str, object]:
 
 
 @command.command()
-@click.argument("log", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("log", type=THERE)
 @click.option(
     "--to",
     "target",
@@ -138,7 +184,7 @@ def _effect(effect: object) -> dict[str, object]:
     required=True,
     help="Which simulator is to have it.",
 )
-@click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("file", type=FILE)
 @compass_option
 @baseline_option
 @reference_option
@@ -201,26 +247,28 @@ def export(
     help="Who makes the cases: our simulator with an exact attitude, vehicles of another make in use, or"
     " another simulator in closed form.",
 )
-@click.option("--report", type=click.Path(dir_okay=False, path_type=Path), help="Write an HTML report.")
+@report_option
 @common_options
-def blind_trial(cases: int, seed: int, generator: Generator, report: Path | None, output: Output) -> None:
+def blind_trial(
+    cases: int, seed: int, generator: Generator, report_file: Path | None, output: Output
+) -> None:
     """Examine the diagnosis on sealed cases: labels are hashed before it runs and opened after.
 
     \b
     Example: mavcompass gap blind-trial --cases 40 --seed 7
     """
-    require_for(report=report, also=("A blind trial",))
+    require_for(report=report_file, also=("A blind trial",))
     from mavcompass.gap.trial import run_trial
 
     trial = run_trial(cases, seed, generator=generator)
     for line in trial.lines():
         output.say(line)
     output.write_json(trial.to_json())
-    if report is not None:
+    if report_file is not None:
         from mavcompass.report.gap import write_trial_report
 
-        write_trial_report(trial, report)
-        output.say(f"Report: {report}")
+        write_trial_report(trial, report_file)
+        output.say(f"Report: {report_file}")
 
 
 def _say(diagnosis: Diagnosis, output: Output) -> None:

@@ -11,9 +11,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mavcompass.cli.gap.closing import say_comparison, write_report
-from mavcompass.cli.gap.shared import baseline_option, diagnosed, showing_progress
-from mavcompass.cli.options import Number, Output, common_options
+from mavcompass.cli.gap.shared import (
+    baseline_option,
+    diagnosed,
+    say_comparison,
+    showing_progress,
+    write_report,
+)
+from mavcompass.cli.options import THERE, Number, Output, common_options, report_option
 from mavcompass.cli.source import require_for
 from mavcompass.errors import UsageError
 from mavcompass.files import read_text
@@ -24,13 +29,12 @@ if TYPE_CHECKING:
     from mavcompass.procedure.flying import Profile
     from mavcompass.vehicle.simulators import ArduPilotSitl, Px4Sih
 
-_file = click.Path(exists=True, dir_okay=False, path_type=Path)
 PLAIN, AGAIN, EXPORT = "simulator.tlog", "simulator_again.tlog", "found.parm"
 SCHEMA = "mavcompass.gap-fly/1"
 
 
 @click.command()
-@click.argument("log", type=_file)
+@click.argument("log", type=THERE)
 @click.option(
     "--sitl",
     "program",
@@ -42,7 +46,7 @@ SCHEMA = "mavcompass.gap-fly/1"
 @click.option(
     "--simulator",
     "plain",
-    type=_file,
+    type=THERE,
     metavar="SIM",
     help="A recording of this simulator as it is; without it, it is flown twice.",
 )
@@ -50,14 +54,14 @@ SCHEMA = "mavcompass.gap-fly/1"
 @click.option(
     "--export",
     "given",
-    type=_file,
+    type=THERE,
     metavar="FILE",
     help="Put in what `gap export` wrote for this simulator, instead of what is found.",
 )
 @click.option(
     "--defaults",
     multiple=True,
-    type=_file,
+    type=THERE,
     metavar="FILE",
     help="Parameters of your simulator (.parm); may be repeated.",
 )
@@ -76,7 +80,7 @@ SCHEMA = "mavcompass.gap-fly/1"
     metavar="DIR",
     help="Keep the flights and the export there.",
 )
-@click.option("--report", type=click.Path(dir_okay=False, path_type=Path), help="Write an HTML report.")
+@report_option
 @common_options
 def fly(
     log: Path,
@@ -89,7 +93,7 @@ def fly(
     seconds: float,
     speed: float | None,
     keep: Path | None,
-    report: Path | None,
+    report_file: Path | None,
     output: Output,
 ) -> None:
     """Fly LOG's motion in a simulator at hand, without and with what was found, and compare.
@@ -101,7 +105,7 @@ def fly(
     \b
     Example: mavcompass gap fly flight.tlog --sitl build/sitl/bin/arducopter --keep flown --report closed.html
     """
-    require_for(log, plain, baseline, report=report)
+    require_for(log, plain, baseline, report=report_file)
     from mavcompass.gap.comparison import compare, flown_again
     from mavcompass.gap.export import TARGETS, Exported, Found, found_in, nominal_settings
     from mavcompass.logs import read_track
@@ -137,7 +141,7 @@ def fly(
             comparison = flown_again(comparison, before, vehicle, [read_track(again)], progress)
     _say(comparison, exported, keep, output)
     output.write_json(_document(simulator, profile, comparison, exported, keep))
-    write_report(comparison, report, output)
+    write_report(comparison, report_file, output)
 
 
 @contextmanager

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from mavcompass.cli.options import Output, Whole
+from mavcompass.cli.options import THERE, Output, Whole
 from mavcompass.cli.terminal.colour import styled
 
 if TYPE_CHECKING:
+    from mavcompass.gap.comparison import Comparison
     from mavcompass.gap.result import Diagnosis
 
 compass_option = click.option(
@@ -21,7 +22,7 @@ compass_option = click.option(
 )
 baseline_option = click.option(
     "--baseline",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=THERE,
     help="A recording of the same vehicle that is accepted as good: gives the noise floor.",
 )
 
@@ -63,3 +64,20 @@ def showing_progress(name: str) -> Iterator[Callable[[str], None]]:
 
     with Console(stderr=True).status(f"{name}: reading") as status:
         yield lambda doing: status.update(f"{name}: {doing}")
+
+
+def say_comparison(comparison: Comparison, output: Output) -> None:
+    """Say what to do, and how the two differ."""
+    from mavcompass.report.compare_words import compare_summary
+
+    say_summary(compare_summary(comparison), output)
+
+
+def write_report(comparison: Comparison, report: Path | None, output: Output) -> None:
+    """Write the report where one is wanted."""
+    if report is None:
+        return
+    from mavcompass.report.compare import write_compare_report
+
+    write_compare_report(comparison, report)
+    output.say(f"Report: {report}")

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from mavcompass.cli.options import Commands, Function, Output, common_options
+from mavcompass.cli.options import FILE, Commands, Function, Output, common_options
 from mavcompass.cli.source import refuse_unasked_write, require_for, sign_key_option, system_option
 from mavcompass.errors import MavCompassError, NoMagnetometer, UsageError, WriteFailed
 
 if TYPE_CHECKING:
-    from mavcompass.procedure.dialect import ParameterPlan
+    from mavcompass.procedure.dialect import Change, ParameterPlan
     from mavcompass.procedure.nameplate import Nameplate
     from mavcompass.procedure.script import Context, Script
     from mavcompass.vehicle.session import HeldParameters, WriteReport
 
 SCHEMA = "mavcompass.params/1"
-_FILE = click.Path(dir_okay=False, path_type=Path)
 
 
 def _write_options(function: Function) -> Function:
@@ -56,12 +56,11 @@ def show(source: str, system: int | None, output: Output) -> None:
     \b
     Example: mavcompass params show sim:rover
     """
-    from mavcompass.cli.params.view import show_parameters
     from mavcompass.parameter_remarks import remarks_said
 
     require_for(source)
     held = _read(source, system)
-    show_parameters(output, held)
+    _show_parameters(output, held)
     remarks = remarks_said(held.dialect.autopilot, held.values, *held.compasses)
     for remark in remarks:
         click.echo(f"Note: {remark}", err=True)
@@ -71,7 +70,7 @@ def show(source: str, system: int | None, output: Output) -> None:
 
 @command.command()
 @click.argument("source")
-@click.argument("file", type=_FILE)
+@click.argument("file", type=FILE)
 @system_option
 @sign_key_option
 @common_options
@@ -81,7 +80,6 @@ def diff(source: str, file: Path, system: int | None, output: Output) -> None:
     \b
     Example: mavcompass params diff udpin:0.0.0.0:14550 compass.param
     """
-    from mavcompass.cli.params.view import show_difference
     from mavcompass.vehicle.parameters.undo import read_kept
     from mavcompass.vehicle.parameters.values import same_value
     from mavcompass.vehicle.session import compass_part
@@ -94,7 +92,7 @@ def diff(source: str, file: Path, system: int | None, output: Output) -> None:
         for name, value in compass_part(kept, held).items()
         if name not in held.values or not same_value(held.values[name], value)
     }
-    show_difference(output, held, differing)
+    _show_difference(output, held, differing)
     if not differing:
         output.say(f"The vehicle holds the values of {file}.")
     rows = [{"name": n, "vehicle": old, "file": new} for n, (old, new) in differing.items()]
@@ -103,7 +101,7 @@ def diff(source: str, file: Path, system: int | None, output: Output) -> None:
 
 @command.command()
 @click.argument("source")
-@click.argument("file", type=_FILE)
+@click.argument("file", type=FILE)
 @_write_options
 @common_options
 def write(
@@ -125,7 +123,7 @@ def write(
 
 @command.command()
 @click.argument("source")
-@click.argument("file", type=_FILE, required=False)
+@click.argument("file", type=FILE, required=False)
 @_write_options
 @common_options
 def restore(
@@ -163,7 +161,7 @@ def _last_of(vehicle: Nameplate) -> Path:
 
 @command.command()
 @click.argument("source")
-@click.argument("file", type=_FILE, required=False)
+@click.argument("file", type=FILE, required=False)
 @click.option("--yes", is_flag=True, help="Replace FILE where it exists.")
 @system_option
 @sign_key_option
@@ -308,10 +306,8 @@ def _plan_part(plan: ParameterPlan) -> dict[str, object]:
 
 
 def _say_plan(output: Output, held: HeldParameters, plan: ParameterPlan) -> None:
-    from mavcompass.cli.params.view import show_changes
-
     if plan.changes:
-        show_changes(output, plan.changes)
+        _show_changes(output, plan.changes)
         if held.armed:
             output.say("Note: the vehicle is armed; its heading will change while it is in use.")
     for remark in plan.remarks:
@@ -333,3 +329,84 @@ def _say_outcome(output: Output, report: WriteReport, dry_run: bool) -> None:
     output.say(f"{counted(len(outcome.values), 'parameter')} written and read back.")
     if outcome.undo_file is not None:
         output.say(f"To undo: {outcome.restore_command}")
+
+
+# --- tables on a terminal, plain lines in a pipe --------------------------------------------------
+
+
+def _show_parameters(output: Output, held: HeldParameters) -> None:
+    """Show all parameters: on a terminal one column per compass, in a pipe one NAME VALUE per line."""
+    if not _is_table_wanted(output):
+        for name, value in held.compass_values.items():
+            output.say(f"{name:<16} {_number(value)}")
+        return
+    compasses = held.compasses
+    shared = [(name, _number(v)) for name, v in held.compass_values.items() if held.instance_of(name) is None]
+    rows: dict[str, dict[int, str]] = {}
+    for name, value in held.compass_values.items():
+        instance = held.instance_of(name)
+        if instance in compasses:
+            rows.setdefault(_quantity(name, instance), {})[instance] = _number(value)
+    _table(
+        ["", *(f"compass {i}" for i in compasses)],
+        [[quantity, *(cells.get(i, "") for i in compasses)] for quantity, cells in rows.items()],
+    )
+    _table(["of all compasses", "value"], shared)
+
+
+def _show_difference(
+    output: Output, held: HeldParameters, differing: Mapping[str, tuple[float | None, float]]
+) -> None:
+    """Show where a file and the vehicle differ."""
+    cells = [
+        (name, "absent" if old is None else _number(old), _number(new))
+        for name, (old, new) in differing.items()
+    ]
+    _rows(output, ["parameter", "vehicle", "file"], cells, "{:<16} vehicle {}, file {}")
+
+
+def _show_changes(output: Output, changes: Iterable[Change]) -> None:
+    """Show what a write will do."""
+    cells = [(c.name, _number(c.old), _number(c.new)) for c in changes]
+    _rows(output, ["parameter", "old", "new"], cells, "{:<16} {} -> {}")
+
+
+def _rows(output: Output, head: Sequence[str], cells: Sequence[Sequence[str]], line: str) -> None:
+    """Show cells below their head on a terminal, and as `line` has them in a pipe."""
+    if _is_table_wanted(output):
+        _table(head, cells)
+        return
+    for row in cells:
+        output.say(line.format(*row))
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(*head, box=box.SIMPLE_HEAD)
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for row in rows:
+        table.add_row(*row)
+    Console().print(table)
+
+
+def _is_table_wanted(output: Output) -> bool:
+    return sys.stdout.isatty() and output.json_file != "-"
+
+
+def _quantity(name: str, instance: int | None) -> str:
+    """Take the compass's number out of a name, so that all compasses share a row."""
+    if name.startswith("CAL_MAG"):
+        return name[len("CAL_MAG0_") :]
+    stem = name.removeprefix(f"COMPASS{instance}_").removeprefix("COMPASS_")
+    stem = stem.replace(f"{instance}_", "_").removesuffix(str(instance))
+    return {"EXTERN": "EXTERNAL"}.get(stem, stem)
+
+
+def _number(value: float) -> str:
+    from mavcompass.vehicle.parameters.files import format_value
+
+    return format_value(value) if value == value and abs(value) != float("inf") else str(value)

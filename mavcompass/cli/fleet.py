@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from mavcompass.cli.fleet.document import document
-from mavcompass.cli.fleet.shown import LONG_S, say, short, showing
-from mavcompass.cli.options import Commands, Number, Output, Whole, common_options
+from mavcompass.cli.options import FILE, Commands, Number, Output, Whole, common_options
 from mavcompass.cli.source import (
     max_error_option,
     method_option,
@@ -20,14 +19,19 @@ from mavcompass.cli.source import (
     reference_option,
     require_for,
 )
+from mavcompass.cli.terminal.bar import bar
+from mavcompass.printable import counted
 
 if TYPE_CHECKING:
     from mavcompass.fleet.engine import Engine
     from mavcompass.fleet.examine import Job, Row
-    from mavcompass.fleet.run import Progress
+    from mavcompass.fleet.run import FleetResult, Progress
+    from mavcompass.fleet.summary import Summary, Vehicle
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 NOTHING_USABLE = 4
+_SHOWN = 5
+LONG_S = 20.0  # from here on a recording is named
 
 
 @click.group(cls=Commands)
@@ -49,7 +53,7 @@ def fleet_options(function: Function) -> Function:
         click.argument("paths", nargs=-1, required=True),
         click.option(
             "--out",
-            type=click.Path(dir_okay=False, path_type=Path),
+            type=FILE,
             required=True,
             metavar="FILE.parquet",
             help="The table; its journal FILE.parquet.journal stands beside it.",
@@ -75,7 +79,7 @@ def fleet_options(function: Function) -> Function:
         click.option(
             "--report",
             "report_file",
-            type=click.Path(dir_okay=False, path_type=Path),
+            type=FILE,
             help="The summary page (default: FILE.html).",
         ),
     )
@@ -124,7 +128,7 @@ def calibrate(
 @click.option(
     "--distribution",
     "distribution_file",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     metavar="FILE.json",
     help="What the vehicles have in common (default: beside the table, FILE.distribution.json).",
 )
@@ -207,7 +211,7 @@ def _run(
         require_for(*(Path(recording.path) for recording in recordings))
 
     def write_page(rows: list[Row], progress: Progress) -> None:
-        longest = ", ".join(f"{short(path)} ({seconds:.0f} s)" for path, seconds in progress.under_way[:3])
+        longest = ", ".join(f"{_short(path)} ({seconds:.0f} s)" for path, seconds in progress.under_way[:3])
         so_far = {"Still at work": f"{progress.done} of {progress.asked} done; now: {longest or 'the rest'}"}
         write_fleet_report(summarise(rows, job.work), so_far, page)
 
@@ -228,7 +232,9 @@ def _run(
             raise
     summary = summarise(result.rows, job.work)
     facts = {"Table": str(out), "Work": job.work, "Examined now": f"{result.examined}, kept: {result.kept}"}
-    if slow := [f"{short(path)} ({seconds:.0f} s)" for path, seconds in summary.slowest if seconds >= LONG_S]:
+    if slow := [
+        f"{_short(path)} ({seconds:.0f} s)" for path, seconds in summary.slowest if seconds >= LONG_S
+    ]:
         facts["Slowest"] = ", ".join(slow)
     if learnt is not None and summary.population is not None:
         from mavcompass.fleet.population import write_distribution
@@ -237,8 +243,98 @@ def _run(
         drawn = f" and {len(written) - 1} presets" if learnt.presets else ""
         facts["Distribution"] = f"{learnt.file}{drawn}"
     write_fleet_report(summary, facts, page)
-    say(output, result, summary, out, page)
+    _say(output, result, summary, out, page)
     if "Distribution" in facts:
         output.say(f"Distribution: {facts['Distribution']}")
-    output.write_json(document(result, summary, out, page))
+    output.write_json(_document(result, summary, out, page))
     return NOTHING_USABLE if result.rows and all(row["status"] == "error" for row in result.rows) else 0
+
+
+@contextmanager
+def showing() -> Iterator[Callable[[Progress], None]]:
+    """Show a bar on a terminal, nothing in a pipe."""
+    with bar() as draw:
+
+        def show(progress: Progress) -> None:
+            words = [counted(progress.errors, "error")] if progress.errors else []
+            if progress.under_way and progress.under_way[0][1] >= LONG_S:
+                path, seconds = progress.under_way[0]
+                words.append(f"{_short(path)} takes {seconds:.0f} s so far")
+            draw(progress.done, progress.asked, ", ".join(words))
+
+        yield show
+
+
+def _short(path: str) -> str:
+    """Name a recording by its file and folder."""
+    return "/".join(Path(path).parts[-2:])
+
+
+def _say(output: Output, result: FleetResult, summary: Summary, out: Path, page: Path) -> None:
+    from mavcompass.fleet.summary import LEAST_MGAUSS
+
+    kept = f", {result.kept} were done before" if result.kept else ""
+    fruitless = ""
+    if summary.not_accepted:
+        fruitless = f", {len(summary.not_accepted)} without a calibration (mostly: too little turning)"
+    output.say(
+        f"{result.examined} of {counted(result.asked, 'recording')} examined{kept};"
+        f" {counted(len(summary.errors), 'error')}{fruitless}."
+    )
+    for recording, sentence in summary.errors[:_SHOWN]:
+        output.say(f"  {_short(recording)}: {sentence}")
+    if summary.slowest and summary.slowest[0][1] >= LONG_S:
+        output.say("Slowest: {} ({:.0f} s).".format(*summary.slowest[0]))
+    for effect in [effect for effect in summary.effects if effect.largest_mgauss >= LEAST_MGAUSS][:_SHOWN]:
+        output.say(
+            f"  {effect.effect}: in {counted(effect.recordings, 'recording')} of"
+            f" {counted(effect.vehicles, 'vehicle')}, median {effect.median_mgauss:.1f} mG,"
+            f" largest {effect.largest_mgauss:.1f} mG"
+        )
+    for vehicle in summary.look_first[:_SHOWN]:
+        where = f" ({vehicle.kind}; last: {_short(vehicle.last_recording)})" if vehicle.last_recording else ""
+        output.say(f"Look at {vehicle.name}{where}: {'; '.join(vehicle.why)}.")
+    output.say(f"Table: {out}")
+    output.say(f"Summary: {page}")
+
+
+def _document(result: FleetResult, summary: Summary, out: Path, page: Path) -> dict[str, object]:
+    """Return the document of `--json`."""
+    return {
+        "schema": "mavcompass.fleet/1",
+        "work": summary.work,
+        "asked": result.asked,
+        "examined": result.examined,
+        "kept": result.kept,
+        "recordings": summary.recordings,
+        "table": out,
+        "report": page,
+        "errors": [{"recording": recording, "error": error} for recording, error in summary.errors],
+        "not_accepted": [{"recording": recording, "why": why} for recording, why in summary.not_accepted],
+        "slowest": [{"recording": recording, "seconds": seconds} for recording, seconds in summary.slowest],
+        "effects": [asdict(effect) for effect in summary.effects],
+        "vehicles": [_vehicle(vehicle) for vehicle in summary.vehicles],
+        "odd": [asdict(odd) for odd in summary.population.odd] if summary.population is not None else [],
+        "look_first": [vehicle.name for vehicle in summary.look_first],
+    }
+
+
+def _vehicle(vehicle: Vehicle) -> dict[str, object]:
+    return {
+        "name": vehicle.name,
+        "kind": vehicle.kind,
+        "recordings": vehicle.recordings,
+        "errors": vehicle.errors,
+        "not_accepted": vehicle.not_accepted,
+        "effects_mgauss": dict(vehicle.effects),
+        "why": list(vehicle.why),
+        "compasses": [
+            {
+                "compass": history.compass,
+                "device_id": history.device_id,
+                "rate_deg_per_30_days": history.rate_deg_per_30_days,
+                "history": [asdict(point) for point in history.points],
+            }
+            for history in vehicle.histories
+        ],
+    }
