@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING
 
 import click
 
-from mavcompass.cli.options import FILE, Commands, Number, Output, Whole, common_options
+from mavcompass.cli.options import FILE, Commands, Function, Number, Output, Whole, common_options, gathered
 from mavcompass.cli.source import (
     max_error_option,
     method_option,
@@ -23,12 +23,10 @@ from mavcompass.cli.terminal.bar import bar
 from mavcompass.printable import counted
 
 if TYPE_CHECKING:
-    from mavcompass.fleet.engine import Engine
     from mavcompass.fleet.examine import Job, Row
     from mavcompass.fleet.run import FleetResult, Progress
     from mavcompass.fleet.summary import Summary, Vehicle
 
-Function = TypeVar("Function", bound=Callable[..., Any])
 NOTHING_USABLE = 4
 _SHOWN = 5
 LONG_S = 20.0  # from here on a recording is named
@@ -47,8 +45,29 @@ def command() -> None:
     """
 
 
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """Hold what all work on fleets is asked: of which recordings, where, how."""
+
+    paths: tuple[str, ...]
+    out: Path
+    workers: int | None
+    scheduler: str | None
+    timeout_s: float
+    instances: tuple[int, ...]
+    vehicle_pattern: str | None
+    fresh: bool
+    retry_errors: bool
+    report_file: Path | None
+
+    @property
+    def page(self) -> Path:
+        """Return where the summary page goes."""
+        return self.report_file or self.out.with_suffix(".html")
+
+
 def fleet_options(function: Function) -> Function:
-    """Let a command take what all work on fleets shares; see `_run` for the names."""
+    """Let a command take what all work on fleets shares; the function gets the argument `asked: Asked`."""
     options = (
         click.argument("paths", nargs=-1, required=True),
         click.option(
@@ -83,7 +102,7 @@ def fleet_options(function: Function) -> Function:
             help="The summary page (default: FILE.html).",
         ),
     )
-    for option in (common_options, *reversed(options)):
+    for option in (gathered(Asked, "asked"), common_options, *reversed(options)):
         function = option(function)
     return function
 
@@ -93,16 +112,7 @@ def fleet_options(function: Function) -> Function:
 @method_option
 @max_error_option
 def calibrate(
-    paths: tuple[str, ...],
-    out: Path,
-    workers: int | None,
-    scheduler: str | None,
-    timeout_s: float,
-    instances: tuple[int, ...],
-    vehicle_pattern: str | None,
-    fresh: bool,
-    retry_errors: bool,
-    report_file: Path | None,
+    asked: Asked,
     method: str,
     max_error_deg: float,
     output: Output,
@@ -115,11 +125,11 @@ def calibrate(
     """
     from mavcompass.fleet.examine import Job
 
+    pattern = asked.vehicle_pattern
     job = Job(
-        "calibrate", instances, method=method, max_error_deg=max_error_deg, vehicle_pattern=vehicle_pattern
+        "calibrate", asked.instances, method=method, max_error_deg=max_error_deg, vehicle_pattern=pattern
     )
-    engine = _engine(workers, scheduler, timeout_s)
-    return _run(job, paths, out, engine, fresh, retry_errors, report_file, output)
+    return _run(job, asked, output)
 
 
 @command.command()
@@ -140,16 +150,7 @@ def calibrate(
     help="Draw N vehicles of the fleet as presets for `simulate --effect @FILE`, beside the distribution.",
 )
 def diagnose(
-    paths: tuple[str, ...],
-    out: Path,
-    workers: int | None,
-    scheduler: str | None,
-    timeout_s: float,
-    instances: tuple[int, ...],
-    vehicle_pattern: str | None,
-    fresh: bool,
-    retry_errors: bool,
-    report_file: Path | None,
+    asked: Asked,
     reference: str,
     distribution_file: Path | None,
     presets: int,
@@ -165,48 +166,25 @@ def diagnose(
     """
     from mavcompass.fleet.examine import Job
 
-    job = Job("diagnose", instances, reference=reference, vehicle_pattern=vehicle_pattern)
-    engine = _engine(workers, scheduler, timeout_s)
-    learnt = Learnt(distribution_file or out.with_suffix(".distribution.json"), presets)
-    return _run(job, paths, out, engine, fresh, retry_errors, report_file, output, learnt)
+    job = Job("diagnose", asked.instances, reference=reference, vehicle_pattern=asked.vehicle_pattern)
+    return _run(job, asked, output, distribution_file or asked.out.with_suffix(".distribution.json"), presets)
 
 
-@dataclass(frozen=True, slots=True)
-class Learnt:
-    """Say where the fleet's distribution goes, and how many vehicles are drawn from it."""
-
-    file: Path
-    presets: int
-
-
-def _engine(workers: int | None, scheduler: str | None, timeout_s: float) -> Engine:
-    from mavcompass.fleet.engine import Engine
-
-    if workers is not None and scheduler is not None:
+def _run(job: Job, asked: Asked, output: Output, distribution: Path | None = None, presets: int = 0) -> int:
+    """Do the work; what vehicles have in common goes to `distribution`, beside `presets` drawn from that."""
+    if asked.workers is not None and asked.scheduler is not None:
         raise click.UsageError("--workers and --scheduler exclude each other: a cluster has its own workers.")
-    return Engine(workers or len(os.sched_getaffinity(0)), scheduler, timeout_s)
-
-
-def _run(
-    job: Job,
-    paths: tuple[str, ...],
-    out: Path,
-    engine: Engine,
-    fresh: bool,
-    retry_errors: bool,
-    report_file: Path | None,
-    output: Output,
-    learnt: Learnt | None = None,
-) -> int:
+    from mavcompass.fleet.engine import Engine
     from mavcompass.fleet.recordings import find_recordings
     from mavcompass.fleet.run import journal_of, run_fleet
     from mavcompass.fleet.summary import summarise
     from mavcompass.report.fleet import write_fleet_report
 
-    page = report_file or out.with_suffix(".html")
+    out, page = asked.out, asked.page
+    engine = Engine(asked.workers or len(os.sched_getaffinity(0)), asked.scheduler, asked.timeout_s)
     cluster = () if engine.scheduler is None else ("A cluster (--scheduler)",)
     require_for(report=page, also=("A fleet", "A Parquet table", *cluster))
-    recordings = find_recordings(paths)
+    recordings = find_recordings(asked.paths)
     if engine.scheduler is None:  # a cluster's workers have their own installation
         require_for(*(Path(recording.path) for recording in recordings))
 
@@ -222,8 +200,8 @@ def _run(
                 recordings,
                 out,
                 engine,
-                fresh=fresh,
-                retry_errors=retry_errors,
+                fresh=asked.fresh,
+                retry_errors=asked.retry_errors,
                 on_progress=show,
                 on_rows=write_page,
             )
@@ -236,12 +214,12 @@ def _run(
         f"{_short(path)} ({seconds:.0f} s)" for path, seconds in summary.slowest if seconds >= LONG_S
     ]:
         facts["Slowest"] = ", ".join(slow)
-    if learnt is not None and summary.population is not None:
+    if distribution is not None and summary.population is not None:
         from mavcompass.fleet.population import write_distribution
 
-        written = write_distribution(summary.population, learnt.file, learnt.presets)
-        drawn = f" and {len(written) - 1} presets" if learnt.presets else ""
-        facts["Distribution"] = f"{learnt.file}{drawn}"
+        written = write_distribution(summary.population, distribution, presets)
+        drawn = f" and {len(written) - 1} presets" if presets else ""
+        facts["Distribution"] = f"{distribution}{drawn}"
     write_fleet_report(summary, facts, page)
     _say(output, result, summary, out, page)
     if "Distribution" in facts:

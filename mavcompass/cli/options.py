@@ -8,9 +8,11 @@ import os
 import re
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import fields
 from enum import Enum
+from functools import wraps
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import click
 
@@ -181,6 +183,20 @@ def _raise_verbosity(context: click.Context, parameter: click.Parameter, value: 
 FILE = click.Path(dir_okay=False, path_type=Path)
 THERE = click.Path(exists=True, dir_okay=False, path_type=Path)
 report_option = click.option("--report", "report_file", type=FILE, help="Write an HTML report.")
+
+
+def gathered(kind: type[Any], name: str) -> Callable[[Function], Function]:
+    """Hand a command those of its options that are fields of a dataclass as one argument of this name."""
+
+    def decorate(function: Function) -> Function:
+        @wraps(function)
+        def call(**options: Any) -> Any:
+            own = {item.name: options.pop(item.name) for item in fields(kind)}
+            return function(**{name: kind(**own)}, **options)
+
+        return cast(Function, call)
+
+    return decorate
 
 
 def verbose_option(function: Function) -> Function:

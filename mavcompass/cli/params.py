@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from mavcompass.cli.options import FILE, Commands, Function, Output, common_options
+from mavcompass.cli.options import FILE, Commands, Function, Output, common_options, gathered
 from mavcompass.cli.source import refuse_unasked_write, require_for, sign_key_option, system_option
 from mavcompass.errors import MavCompassError, NoMagnetometer, UsageError, WriteFailed
 
@@ -22,13 +23,24 @@ if TYPE_CHECKING:
 SCHEMA = "mavcompass.params/1"
 
 
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """Hold what a write is asked."""
+
+    yes: bool
+    dry_run: bool
+    other_vehicle: bool
+    system: int | None
+
+
 def _write_options(function: Function) -> Function:
+    """Let a command take how it is to write; the function gets the argument `asked: Asked`."""
     yes = click.option("--yes", is_flag=True, help="Write without asking.")
     dry_run = click.option("--dry-run", is_flag=True, help="Show what would be written, and write nothing.")
     other = click.option(
         "--other-vehicle", is_flag=True, help="Write what was kept of another vehicle, or of an unknown one."
     )
-    return system_option(sign_key_option(yes(dry_run(other(function)))))
+    return system_option(sign_key_option(yes(dry_run(other(gathered(Asked, "asked")(function))))))
 
 
 @click.group(cls=Commands)
@@ -104,21 +116,13 @@ def diff(source: str, file: Path, system: int | None, output: Output) -> None:
 @click.argument("file", type=FILE)
 @_write_options
 @common_options
-def write(
-    source: str,
-    file: Path,
-    yes: bool,
-    dry_run: bool,
-    other_vehicle: bool,
-    system: int | None,
-    output: Output,
-) -> None:
+def write(source: str, file: Path, asked: Asked, output: Output) -> None:
     """Write the compass parameters of a file to a vehicle; others in the file are left out.
 
     \b
     Example: mavcompass params write udpin:0.0.0.0:14550 compass.param
     """
-    _write("write", source, file, yes, dry_run, other_vehicle, system, output)
+    _write("write", source, file, asked, output)
 
 
 @command.command()
@@ -126,21 +130,13 @@ def write(
 @click.argument("file", type=FILE, required=False)
 @_write_options
 @common_options
-def restore(
-    source: str,
-    file: Path | None,
-    yes: bool,
-    dry_run: bool,
-    other_vehicle: bool,
-    system: int | None,
-    output: Output,
-) -> None:
+def restore(source: str, file: Path | None, asked: Asked, output: Output) -> None:
     """Put back what an undo file or a backup holds (default: the last undo file of this vehicle).
 
     \b
     Example: mavcompass params restore udpin:0.0.0.0:14550
     """
-    _write("restore", source, file, yes, dry_run, other_vehicle, system, output)
+    _write("restore", source, file, asked, output)
 
 
 def _last_of(vehicle: Nameplate) -> Path:
@@ -232,22 +228,13 @@ def _run(source: str, script: Callable[[Context], Script[Any]]) -> Any:
         return run(Machine(script), link, on_show=PlainShow(), on_ask=ask_on_terminal)
 
 
-def _write(
-    action: str,
-    source: str,
-    file: Path | None,
-    yes: bool,
-    dry_run: bool,
-    other_vehicle: bool,
-    system: int | None,
-    output: Output,
-) -> None:
+def _write(action: str, source: str, file: Path | None, asked: Asked, output: Output) -> None:
     """Write what a file holds; without one, what the vehicle's last undo file holds."""
     from mavcompass.printable import counted
     from mavcompass.vehicle.parameters.undo import read_kept, undo_saver
     from mavcompass.vehicle.session import compass_part, write_values
 
-    _check_call(source, yes, dry_run)
+    _check_call(source, asked.yes, asked.dry_run)
     require_for(source)
     named = None if file is None else read_kept(file)  # what is wrong with it is told first
     document: dict[str, object] = {"schema": SCHEMA, "action": action, "source": source, "file": file}
@@ -255,14 +242,20 @@ def _write(
     def wanted(held: HeldParameters, vehicle: Nameplate) -> Mapping[str, float]:
         kept = named or read_kept(_last_of(vehicle))
         document["file"] = kept.path
-        if not other_vehicle:
+        if not asked.other_vehicle:
             kept.refuse_other(vehicle)
         return compass_part(kept, held)
 
     def consent(held: HeldParameters, plan: ParameterPlan) -> str | None:
         document.update(_head(action, source, held), **_plan_part(plan))
         _say_plan(output, held, plan)
-        return None if dry_run else "" if yes else f"Write {counted(len(plan.changes), 'parameter')}?"
+        return (
+            None
+            if asked.dry_run
+            else ""
+            if asked.yes
+            else f"Write {counted(len(plan.changes), 'parameter')}?"
+        )
 
     def script(context: Context) -> Script[WriteReport]:
         return write_values(
@@ -272,7 +265,7 @@ def _write(
             undo_saver(source),
             checked=action == "write",
             consent=consent,
-            system=system,
+            system=asked.system,
         )
 
     try:
@@ -281,7 +274,7 @@ def _write(
         left = {"restore_command": error.restore_command} if isinstance(error, WriteFailed) else {}
         output.write_json({**document, "written": False, "verified": False, "error": str(error), **left})
         raise
-    _say_outcome(output, report, dry_run)
+    _say_outcome(output, report, asked.dry_run)
     outcome = report.outcome
     document["remarks"] = [*report.plan.remarks, *(outcome.remarks if outcome else ())]
     document |= {"written": outcome is not None, "verified": outcome is not None and outcome.verified}

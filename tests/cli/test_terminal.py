@@ -91,7 +91,7 @@ def test_a_dial_leaves_out_whole_what_has_no_room(
     monkeypatch.setenv("COLUMNS", str(columns))
     with dial() as draw:
         assert draw is not None
-        draw(247.2, Row(65.0, 234.6, 247.2, None, 23.0).figures())
+        draw(247.2, Row(65.0, 234.6, 23.0, 247.2, None).figures())
     (line,) = (part for part in re.split(r"\r|\x1b\[K|\n", screen.getvalue()) if part)
     assert line.endswith(f"  {told}") and len(line) < columns and "[" in line
 
