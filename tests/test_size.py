@@ -14,11 +14,11 @@ LINES = {
     "package simulation": (8_080, 5_800),
     "package attitude calibration heading": (8_990, 5_400),
     "package vehicle messages enums.py": (7_820, 5_200),
-    "package procedure": (6_380, 4_400),
+    "package procedure": (6_230, 4_400),
     "package service": (5_300, 4_100),
     "package logs": (4_600, 3_600),
     "package cli": (4_160, 2_900),
-    "package": (67_290, 46_500),
+    "package": (67_140, 46_500),
     "tests": (43_400, 29_000),
     "scripts": (8_960, 4_400),
 }

@@ -1,20 +1,31 @@
-"""Who turns the vehicle: itself, watched over by a guard, or a person."""
+"""Who turns the vehicle: itself, watched over by a guard, or a person.
+
+Before a hovering copter holds its place it must not be turned. A compass that is suddenly far off takes the
+estimator's heading along, the position controller then pushes the wrong way, and the copter swings in growing
+circles until the satellite receiver's velocity has put the heading right. That takes ten seconds or so, and
+nobody needs to do anything.
+
+How still a copter can hold its place is a matter of its own noise. One that never gets slower than it is, but
+wanders about one place and no wider than before, does what it can.
+"""
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from mavcompass import messages as mav
 from mavcompass.errors import Refused
 from mavcompass.kinds import Kind
 from mavcompass.procedure.dialect import Overrides
 from mavcompass.procedure.modes import ModeKeeper
-from mavcompass.procedure.motion.calm import wait_until_calm
 from mavcompass.procedure.motion.readiness import Permissions, Readiness
 from mavcompass.procedure.motion.safety import MotionGuard, SafetyLimits
 from mavcompass.procedure.positions import HandMover, Mover, Rest, VehicleMover
-from mavcompass.procedure.script import Context, Script
+from mavcompass.procedure.script import Context, Script, pause
 from mavcompass.procedure.turning import (
     GyroAngle,
     TurnBy,
@@ -22,7 +33,7 @@ from mavcompass.procedure.turning import (
     strategies_for,
     vehicle_profile,
 )
-from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState
+from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState, metres_from
 
 Motion = Literal["auto", "vehicle", "hand", "none"]
 
@@ -132,3 +143,88 @@ def _channels_moved(by: TurnBy, kind: Kind) -> frozenset[int]:
         case "manual-control":
             return frozenset({1, 2, 3, 4})
     return frozenset()
+
+
+# --- a copter that holds its place ----------------------------------------------------------------
+
+_POLL_S = 0.1
+# So long it must have held its place.
+_CALM_S = 1.5
+_FASTEST_MPS = 0.5
+# ArduPilot's own limits of what its estimator makes of its measurements: beyond, it will not stay as it is.
+_COMPASS_VARIANCE, _VELOCITY_VARIANCE = 0.8, 0.3
+# A copter that swings is given this long; one that hovers well though its estimator doubts the compass, this.
+_PATIENCE_S, _DOUBT_PATIENCE_S = 40.0, 10.0
+# A copter that wanders is watched for two such stretches; so far apart its places may lie in the later one,
+# and so much further than in the earlier one by chance.
+_STRETCH_S, _WIDEST_M, _NO_WIDER = 6.0, 2.0, 1.25
+
+
+def wait_until_calm(context: Context, state: VehicleState, rest: Rest) -> Script[None]:
+    """Wait until the copter hovers at its place. Raises Refused where it does not come to that."""
+    began_s = calm_since_s = held_since_s = level_since_s = context.now
+    said, wander = False, _Wander()
+    while True:
+        wander.note(context.now, state)
+        if rest.why_not == "tilting":
+            level_since_s = context.now
+        if _swings(state, rest):
+            calm_since_s = held_since_s = context.now
+        elif _doubts(state):
+            calm_since_s = context.now
+        if context.now - calm_since_s >= _CALM_S or context.now - held_since_s >= _DOUBT_PATIENCE_S:
+            return
+        if context.now - level_since_s >= _CALM_S and wander.keeps_to_its_place():
+            context.show(
+                "ready", f"The copter wanders by {wander.reach_m():.1f} m; it holds its place so well."
+            )
+            return
+        if context.now - began_s > _PATIENCE_S:
+            raise Refused(
+                f"The copter does not hold its place within {_PATIENCE_S:.0f} s.",
+                "Land it and calibrate it on the ground, turned by hand: --motion hand.",
+            )
+        if not said and context.now - began_s > _CALM_S + 1.0:
+            context.show("ready", "Waiting until the copter holds its place.")
+            said = True
+        yield from pause(context, _POLL_S)
+
+
+@dataclass(slots=True)
+class _Wander:
+    """Follow where the vehicle was: metres north and east of where it was first."""
+
+    _start: mav.GlobalPositionInt | None = None
+    _places: deque[tuple[float, float, float]] = field(default_factory=deque)
+
+    def note(self, now_s: float, state: VehicleState) -> None:
+        """Take the vehicle's latest place."""
+        if (place := state.place) is None:
+            return
+        self._start = self._start or place
+        self._places.append((now_s, *metres_from(self._start, place)))
+        while self._places[0][0] < now_s - 2.0 * _STRETCH_S:
+            self._places.popleft()
+
+    def reach_m(self, back: int = 0) -> float:
+        """Return how far apart the places of a stretch lie: the latest, or the one before."""
+        until_s = self._places[-1][0] - back * _STRETCH_S
+        inside = [p for p in self._places if until_s - _STRETCH_S < p[0] <= until_s]
+        return math.hypot(*(max(p[axis] for p in inside) - min(p[axis] for p in inside) for axis in (1, 2)))
+
+    def keeps_to_its_place(self) -> bool:
+        """Tell whether it wandered no wider in the latest stretch than in the one before, nor far."""
+        if not self._places or self._places[-1][0] - self._places[0][0] < 2.0 * _STRETCH_S - 2.0 * _POLL_S:
+            return False
+        return self.reach_m() <= min(_WIDEST_M, _NO_WIDER * self.reach_m(1))
+
+
+def _swings(state: VehicleState, rest: Rest) -> bool:
+    return state.speed_mps > _FASTEST_MPS or rest.why_not == "tilting"
+
+
+def _doubts(state: VehicleState) -> bool:
+    ekf = state.ekf
+    return ekf is not None and (
+        ekf.compass_variance >= _COMPASS_VARIANCE or ekf.velocity_variance >= _VELOCITY_VARIANCE
+    )

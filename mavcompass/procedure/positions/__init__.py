@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from mavcompass.procedure.positions.hand import HandMover
-from mavcompass.procedure.positions.itself import VehicleMover
+from mavcompass.procedure.positions.movers import HandMover, VehicleMover
 from mavcompass.procedure.positions.proof import Proof, prove
 from mavcompass.procedure.positions.visiting import (
     DwellSettings,

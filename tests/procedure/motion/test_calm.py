@@ -8,7 +8,7 @@ import pytest
 
 from mavcompass import messages as mav
 from mavcompass.errors import Refused
-from mavcompass.procedure.motion.calm import wait_until_calm
+from mavcompass.procedure.motion.mobility import wait_until_calm
 from mavcompass.procedure.positions import Rest
 from mavcompass.procedure.script import Context, Machine, Script, Show, Tick
 from mavcompass.procedure.vehicle_state import VehicleState

@@ -10,7 +10,7 @@ import pytest
 
 from mavcompass.errors import LinkLost, PoorCalibration
 from mavcompass.procedure.positions import DwellSettings
-from mavcompass.procedure.positions.hand import HandMover
+from mavcompass.procedure.positions.movers import HandMover
 from mavcompass.procedure.script import Context, Machine, Show, Tick
 from mavcompass.procedure.turning import GyroAngle
 

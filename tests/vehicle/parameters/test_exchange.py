@@ -9,7 +9,7 @@ import pytest
 from mavcompass.errors import LinkLost
 from mavcompass.messages import Heartbeat, Incoming, ParamRequestRead, ParamValue
 from mavcompass.procedure.script import Context, Machine, Script, Send, Tick
-from mavcompass.vehicle.parameters.exchange import WINDOW, Ask, Exchange
+from mavcompass.vehicle.parameters.protocol import WINDOW, Ask, Exchange
 
 STEP_S = 0.01
 

@@ -16,7 +16,6 @@ from mavcompass.messages import ParamRequestRead, ParamSet, ParamValue
 from mavcompass.messages.bits import bits_of_single, single_from_bits
 from mavcompass.procedure.script import Context, Script
 from mavcompass.vehicle.dialects import make_dialect
-from mavcompass.vehicle.parameters import exchange as parameter_exchange
 from mavcompass.vehicle.parameters import protocol as wire
 from mavcompass.vehicle.parameters import values
 from mavcompass.vehicle.wire import codec
@@ -91,7 +90,7 @@ def test_only_as_many_requests_are_under_way_as_the_vehicles_queue_holds() -> No
     radio.run(make_dialect("ardupilot").compass_parameters)
     first_answer_s = 0.4
     asked = [m for m, t in zip(radio.sent, radio.sent_s, strict=True) if 0.4 <= t < 0.4 + first_answer_s]
-    assert len(asked) == parameter_exchange.WINDOW
+    assert len(asked) == wire.WINDOW
 
 
 def test_a_write_is_not_fooled_by_the_echo_of_its_neighbour() -> None:
