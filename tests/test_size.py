@@ -10,17 +10,17 @@ ROOT = Path(__file__).parents[1]
 # At most so many lines now, and where they should get to. A number here falls with its room; who raises one
 # says why in the commit.
 LINES = {
-    "package gap": (15_120, 10_500),
+    "package gap": (14_990, 10_500),
     "package simulation": (8_080, 5_800),
-    "package attitude calibration heading": (8_990, 5_400),
-    "package vehicle messages enums.py": (7_820, 5_200),
+    "package attitude calibration heading": (8_930, 5_400),
+    "package vehicle messages enums.py": (7_700, 5_200),
     "package procedure": (6_230, 4_400),
     "package service": (5_300, 4_100),
-    "package logs": (4_600, 3_600),
-    "package cli": (4_160, 2_900),
-    "package": (67_140, 46_500),
-    "tests": (43_400, 29_000),
-    "scripts": (8_960, 4_400),
+    "package logs": (4_590, 3_600),
+    "package cli": (4_070, 2_900),
+    "package": (67_040, 46_500),
+    "tests": (43_280, 29_000),
+    "scripts": (8_950, 4_400),
 }
 
 

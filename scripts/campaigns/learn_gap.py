@@ -26,11 +26,10 @@ import numpy as np
 
 from mavcompass.chance import wilson
 from mavcompass.frames import FloatArray
-from mavcompass.gap.answer.evidence import statistics
-from mavcompass.gap.answer.shrink import figures
+from mavcompass.gap.answer.evidence import figures, statistics
 from mavcompass.gap.diagnose import examine, withheld_effects
 from mavcompass.gap.tables import KINDS, OUTCOMES, SCHEMA
-from mavcompass.gap.trial import bench
+from mavcompass.gap.trial import cases as bench
 from mavcompass.gap.trial.cases import Label
 from mavcompass.gap.trial.foreign import case_of
 from mavcompass.gap.trial.score import Answer, score

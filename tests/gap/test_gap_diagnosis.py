@@ -18,8 +18,7 @@ from mavcompass.gap import Diagnosis, diagnose_gap
 from mavcompass.gap.export.ardupilot import ardupilot_sitl
 from mavcompass.gap.export.others import preset
 from mavcompass.gap.export.vehicle import Found, affine_map, settings_of
-from mavcompass.gap.trial.bench import draw_label, tracks_of
-from mavcompass.gap.trial.cases import Recipe, make_track, stimulus_of
+from mavcompass.gap.trial.cases import Recipe, draw_label, make_track, stimulus_of, tracks_of
 from mavcompass.logs import write_track_csv
 from mavcompass.simulation import effects
 from mavcompass.track import Series, Track

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavcompass.gap.answer.evidence import statistics
-from mavcompass.gap.answer.shrink import figures
+from mavcompass.gap.answer.evidence import figures, statistics
 from mavcompass.gap.diagnose import examine
 from mavcompass.gap.tables import KINDS, OUTCOMES, parsed, tables
 from mavcompass.gap.trial.cases import Recipe, make_track

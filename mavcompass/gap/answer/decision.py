@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from mavcompass.gap.answer.evidence import Evidence, statistics
-from mavcompass.gap.answer.shrink import above, figures, yaw_wander_deg
+from mavcompass.gap.answer.evidence import Evidence, above, figures, statistics, yaw_wander_deg
 from mavcompass.gap.fit.hypothesis import Fit
 from mavcompass.gap.result import Closing, Verdict
 from mavcompass.gap.tables import Kind, Levels, Outcome, tables

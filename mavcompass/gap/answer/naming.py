@@ -20,7 +20,7 @@ from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.left.floor import apart
 from mavcompass.gap.result import Cause, Diagnosis, plain
 from mavcompass.gap.selection.posterior import Identified
-from mavcompass.gap.selection.transient import between_rows
+from mavcompass.gap.selection.split import between_rows
 from mavcompass.simulation.effects import get
 from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, Parameter
 

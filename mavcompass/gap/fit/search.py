@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mavcompass.gap.fit.candidates import Candidate, Candidates
-from mavcompass.gap.fit.criteria import Criteria, likeliest_sets
+from mavcompass.gap.fit.candidates import Candidate, Candidates, Criteria, likeliest_sets
 from mavcompass.gap.fit.hypothesis import Fit, Term, make_term
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.starts import (

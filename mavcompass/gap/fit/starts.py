@@ -12,8 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit.candidates import misfit_of
-from mavcompass.gap.fit.criteria import Criteria
+from mavcompass.gap.fit.candidates import Criteria, misfit_of
 from mavcompass.gap.fit.hypothesis import Fit, Term, least_gain
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.replay.nuisance import REFERENCE_YAW, TELEMETRY_AGE, Nuisance, yaw_starts

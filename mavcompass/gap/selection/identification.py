@@ -22,14 +22,16 @@ from mavcompass.gap.left.scatter import Scatter, find_scatter, noise_with
 from mavcompass.gap.replay.noise import Noise
 from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.selection.posterior import Identified, posterior_of
-from mavcompass.gap.selection.split import Split, probe, with_windows
-from mavcompass.gap.selection.transient import (
+from mavcompass.gap.selection.split import (
+    Split,
     moments,
+    probe,
     switched,
     switches,
     told,
     transients,
     with_moments,
+    with_windows,
 )
 from mavcompass.gap.traces.traces import Traces
 from mavcompass.simulation.effects.effect import LIMIT, Effect

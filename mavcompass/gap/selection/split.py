@@ -1,13 +1,23 @@
-"""Cut a recording in blocks: most of them to choose and fit, some held out to measure on."""
+"""Which rows choose and fit: most blocks of a recording, others held out, none while something changes.
+
+A change takes time: a hand that attaches a magnet needs a second, a step of the model none.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.attitude.scatter import MEDIAN_OF_SQUARES
+from mavcompass.gap.fit.hypothesis import Fit, Mask
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.replay.nominal import Replay
+from mavcompass.gap.replay.nuisance import TELEMETRY_AGE
+from mavcompass.simulation.effects.effect import LAG, MOMENTS, NEVER_S, SMOOTHING
 
 BLOCK_S = 5.0
 GUARD_S = 0.5
@@ -15,8 +25,6 @@ WINDOW_S = 0.3
 _HELD_OUT_OF = 4
 _FEWEST_BLOCKS = 12
 _SEED = 20260101
-
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,3 +101,149 @@ def _masks(time_s: FloatArray, valid: Mask, block: NDArray[np.int64], held: Mask
         boundary = 0.5 * (time_s[edge] + time_s[edge + 1])
         train &= ~((np.abs(time_s - boundary) < guard_s) & ~test)
     return Split(block, held, train & valid, test & valid)
+
+
+_BIN_S = 0.25
+_LONGEST_S = 3.0
+# How much worse than the rest readings must fit, in mean squares, to be part of a change.
+_WORSE = 4.0
+# Loads are recorded ten times a second at best; at least a third of the rows must be clear of switching.
+_LOAD_S, _MOST_SWITCHED = 0.1, 0.67
+# A low pass has settled to a twentieth after so many of its time constants.
+_SETTLED = 3.0
+# What is switched shows in single rows from so many deviations on. A row is off by this share of it, by
+# little more than all, and across it by less than half of that; a tenth of the rows at most.
+_SEEN_APART, _PART, _ALL, _ASIDE, _BY_CHANCE = 6.0, 0.25, 1.2, 0.5, 0.1
+# The median of a mean of three squares of standard normal values.
+_MEDIAN = 0.789
+
+
+def moments(fit: Fit, effect_id: str | None = None) -> list[float]:
+    """List when something changes under a fit, by any effect or by one, in seconds."""
+    return [
+        float(value)
+        for term, theta in zip(fit.terms, fit.thetas, strict=True)
+        for parameter, value in zip(term.effect.parameters, theta, strict=True)
+        if effect_id in (None, term.effect.id) and parameter.name in MOMENTS and abs(value) < NEVER_S
+    ]
+
+
+def switches(fit: Fit) -> bool:
+    """Tell whether a fit has something that is switched."""
+    return any(term.effect.switched for term in fit.terms)
+
+
+def transients(problem: Problem, fit: Fit, when_s: Sequence[float]) -> Mask:
+    """Tell which rows (N,) belong to a change that is going on, outwards from each moment.
+
+    Under correlated noise the readings beside a change would settle its size nearly alone: while it goes
+    on, they must not.
+    """
+    time = problem.replay.time_s
+    z = problem.innovations(problem.predict(fit))["mag"]
+    power = np.where(problem.usable, (z**2).mean(axis=1), np.nan)
+    aside = np.zeros(time.size, dtype=np.bool_)
+    if not problem.usable.any():
+        return aside
+    usual = float(np.nanmedian(power)) / _MEDIAN
+    width = max(_BIN_S, 4.0 * float(np.median(np.diff(time))))
+    for moment in when_s:
+        for side in (-1.0, 1.0):
+            reach = 0.0
+            while reach < _LONGEST_S:
+                away = side * (time - moment)
+                rows = (away >= reach) & (away < reach + width) & problem.usable
+                if not rows.any() or float(np.mean(power[rows])) < _WORSE * usual:
+                    break
+                reach += width
+            if reach > 0.0:
+                aside |= (side * (time - moment) > -width) & (side * (time - moment) < reach + width)
+    return aside
+
+
+def switched(problem: Problem, fit: Fit) -> Mask:
+    """Tell which rows (N,) are so near to a switching as it is known that they may be of both on and off.
+
+    A reading is the mean of some time, and the load is known at some times: when it was switched between
+    two of them, or there and back again, nobody recorded. Where hardly a row is clear of that, none is told.
+    """
+    replay, time = problem.replay, problem.replay.time_s
+    rows: Mask = np.zeros(time.size, dtype=np.bool_)
+    late = (fit.value(LAG) or 0.0) + float(problem.values(fit).get(TELEMETRY_AGE, np.zeros(1))[0])
+    fields: list[tuple[FloatArray, FloatArray]] = []
+    width = max(float(np.median(np.diff(time))), replay.loads_every_s, _LOAD_S)
+    # What is smoothed goes on for as long as that takes.
+    width += _SETTLED * (fit.value(SMOOTHING) or 0.0)
+    for term, theta in zip(fit.terms, fit.thetas, strict=True):
+        if term.effect.switched:
+            unread = replay.signals.with_mag(np.zeros((time.size, 3)))
+            field = term.effect.forward(unread, theta, {}, None).reading.mag_mgauss
+            last = np.flatnonzero(np.diff(np.abs(field).max(axis=1)))
+            when = 0.5 * (time[last] + time[last + 1]) + late
+            at = np.searchsorted(when, time)
+            for beside in (np.append(when, np.inf)[at], np.insert(when, 0, -np.inf)[at]):
+                rows |= np.abs(time - beside) < width
+            fields.append((field, theta[:3]))
+    for field, own in fields:
+        rows |= _other_way(problem, fit, field, own, rows)
+    return rows if rows[problem.usable].mean() < _MOST_SWITCHED else np.zeros_like(rows)
+
+
+def _other_way(problem: Problem, fit: Fit, field_mgauss: FloatArray, own: FloatArray, shared: Mask) -> Mask:
+    """Tell which rows (N,) were switched the other way, or partly, between two records of the load.
+
+    They are off along the field that is switched, toward where it is not, and hardly across it. More than a
+    few that are not `shared` (N,) anyhow are no chance: then it is not switched by that load.
+    """
+    size = float(np.linalg.norm(own))
+    error = problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
+    noise = float(np.sqrt(np.mean(np.nanmedian(error[problem.usable] ** 2, axis=0)) / MEDIAN_OF_SQUARES))
+    if size < _SEEN_APART * noise:
+        return np.zeros(len(error), dtype=np.bool_)
+    along = error @ own / size**2
+    across = np.linalg.norm(error - along[:, None] * own, axis=1)
+    on = np.abs(field_mgauss).max(axis=1) > 0.0
+    toward = np.where(on, -along, along)
+    with np.errstate(invalid="ignore"):
+        rows: Mask = (toward > _PART) & (toward < _ALL) & (across < _ASIDE * toward * size)
+    clear = problem.usable & ~shared
+    return rows if rows[clear].mean() < _BY_CHANCE else np.zeros_like(rows)
+
+
+def between_rows(problem: Problem, moment_s: float) -> tuple[float, float]:
+    """Return the fitted rows before and after a moment: anywhere between them it fits as well."""
+    time = problem.replay.time_s[problem.index]
+    place = int(np.searchsorted(time, moment_s, side="right"))
+    low = float(time[place - 1]) if place > 0 else moment_s
+    return low, float(time[place]) if place < time.size else moment_s
+
+
+def told(replay: Replay, aside: Mask, switching: Mask) -> tuple[str, ...]:
+    """Say in words which stretches were set aside because something was changing or switched."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], aside.astype(np.int8), [0]])))
+    often = (
+        f"While something is switched, a reading is of both: {switching.sum()} of {switching.size} were not"
+        " fitted.",
+    )
+    fast = tuple(
+        f"From {replay.time_s[first]:.1f} to {replay.time_s[end - 1]:.1f} s something changes faster than the"
+        " model can follow: these readings were not fitted."
+        for first, end in zip(edges[::2], edges[1::2], strict=True)
+    )
+    return (often if switching.any() else ()) + fast
+
+
+def with_moments(problem: Problem, fit: Fit, seen_s: Sequence[float]) -> Fit:
+    """Put moments back to where they were seen, where no fitted row lies between: there any will do."""
+    time, thetas = problem.replay.time_s[problem.index], []
+    for term, theta in zip(fit.terms, fit.thetas, strict=True):
+        moved = theta.copy()
+        for j, parameter in enumerate(term.effect.parameters):
+            if parameter.name not in MOMENTS or not seen_s:
+                continue
+            nearest = min(seen_s, key=lambda m, v=float(theta[j]): abs(m - v))  # type: ignore[misc]
+            low, high = sorted((nearest, float(theta[j])))
+            if not ((time > low) & (time < high)).any():
+                moved[j] = nearest
+        thetas.append(moved)
+    return replace(fit, thetas=tuple(thetas))

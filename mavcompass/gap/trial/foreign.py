@@ -18,8 +18,7 @@ from mavcompass.gap.replay.nuisance import REFERENCE_YAW, Prior
 from mavcompass.gap.replay.rows import averaged, compass_rows, shared_period_s
 from mavcompass.gap.replay.testable import half_testable, untestable_effects
 from mavcompass.gap.trial.cases import SHARES, Generator, Label, Tier
-from mavcompass.gap.trial.closed_form import UTC_S, Simulated, make
-from mavcompass.gap.trial.closed_form.formulas import quaternion
+from mavcompass.gap.trial.closed_form import UTC_S, Simulated, make, quaternion
 from mavcompass.gap.trial.vehicles import VehicleCase, make_case
 from mavcompass.simulation.effects import catalogue
 from mavcompass.simulation.effects.effect import Effect, Signals

@@ -19,9 +19,9 @@ from mavcompass.gap.fit.hypothesis import Fit, Term, placements
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.search import Search
 from mavcompass.gap.replay.nominal import replay
-from mavcompass.gap.trial import bench, foreign
-from mavcompass.gap.trial.bench import recipe_of, tracks_of
-from mavcompass.gap.trial.cases import Label, affected, stimulus_of
+from mavcompass.gap.trial import cases as bench
+from mavcompass.gap.trial import foreign
+from mavcompass.gap.trial.cases import Label, affected, recipe_of, stimulus_of, tracks_of
 from mavcompass.simulation.effects import catalogue, parse
 from mavcompass.simulation.physics.signals import ideal
 

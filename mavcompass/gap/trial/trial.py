@@ -14,7 +14,8 @@ from mavcompass.chance import wilson
 from mavcompass.errors import UsageError
 from mavcompass.gap.diagnose import diagnose_gap
 from mavcompass.gap.result import plain
-from mavcompass.gap.trial import bench, foreign
+from mavcompass.gap.trial import cases as bench
+from mavcompass.gap.trial import foreign
 from mavcompass.gap.trial.cases import SHARES, Generator, Tier
 from mavcompass.gap.trial.score import Answer, Case, score, scoreboard
 from mavcompass.track import Track

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavcompass.gap.fit.criteria import Criteria
+from mavcompass.gap.fit.candidates import Criteria
 from mavcompass.gap.fit.hypothesis import Fit, Term
 from mavcompass.simulation.effects import registry
 

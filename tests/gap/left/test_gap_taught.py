@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mavcompass.gap.left.taught import _waiting_s
-from mavcompass.gap.replay.clock import reading_times
+from mavcompass.gap.replay.rows import reading_times
 
 PERIOD_S, SPAN_S = 0.1, 120.0
 

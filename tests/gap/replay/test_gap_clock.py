@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from mavcompass.gap.replay.clock import reading_times
+from mavcompass.gap.replay.rows import reading_times
 
 
 def _brought(period_s: float, message_s: float, phase_s: float, length_s: float = 90.0) -> tuple:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavcompass.gap.fit.criteria import Criteria
+from mavcompass.gap.fit.candidates import Criteria
 from mavcompass.gap.fit.hypothesis import Fit, Term
 from mavcompass.gap.selection.posterior import Posterior, posterior_of
 from mavcompass.gap.tables import tables

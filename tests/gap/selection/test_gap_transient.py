@@ -15,7 +15,8 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.hypothesis import Fit, Term
 from mavcompass.gap.replay.noise import white
 from mavcompass.gap.replay.nuisance import AGE, Nuisance
-from mavcompass.gap.selection import identification, transient
+from mavcompass.gap.selection import identification
+from mavcompass.gap.selection import split as transient
 from mavcompass.gap.selection.split import Split, probe, split_blocks, with_windows
 from mavcompass.simulation.effects import registry
 from mavcompass.simulation.effects.effect import NEVER_S
