@@ -1,18 +1,21 @@
 """Change the code by a little, many times: do the tests notice?
 
-    python scripts/campaigns/mutants.py [--mutants 150] [--seed 1] [--room heading].. [--longest 30]
+    ./scripts/coverage tests/vehicle tests/service     # first: which test runs what, and how long it takes
+    python scripts/campaigns/mutants.py --under vehicle --under service [--mutants 120] [--budget 30]
     python scripts/campaigns/mutants.py --mutant mavcompass/frames.py#17      # one again
 
-Places are drawn evenly over the code of the rooms: an operator, a comparison, a condition, a number, what is
-returned. For each the tests of its own room are run, and where these are content, the nearest others,
-`--longest` seconds of both; of both those that run its line, the quickest first, if `scripts/coverage` has
-found which they are. The mutant is caught when one fails or hangs. Slower tests might notice more: the
-share is a lower bound. Works in a copy; nothing here is changed. Exit code 1 below `--least` percent.
+Places are drawn evenly over the code: an operator, a comparison, a condition, a number, what is returned. For
+each the tests that run its line are run, the cheapest first, `--budget` seconds of them as measured: one that
+waits in real time is dear and comes last or not at all. The mutant is caught when one fails or hangs. More
+tests might notice more: the share is a lower bound. Works in a copy; nothing here is changed. Exit code 1
+below `--least` percent.
 """
 
 from __future__ import annotations
 
 import argparse
+import difflib
+import json
 import math
 import os
 import random
@@ -23,43 +26,25 @@ import subprocess
 import sys
 import tempfile
 import time
-import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import partial
+from itertools import accumulate, takewhile
 from pathlib import Path
+
+import pytest
+from coverage import CoverageData
 
 PROJECT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from mutation.covering import Covering, is_measured  # noqa: E402
 from mutation.sites import Site, mutated, sites  # noqa: E402
+from mutation.test_contexts import SECONDS, SOURCES  # noqa: E402
 
-ROOMS: dict[str, tuple[str, ...]] = {
-    "calibration": ("calibration",),
-    "correction, frames": ("correction.py", "frames.py"),
-    "heading": ("heading",),
-    "procedure": ("procedure",),
-    "service": ("service",),
-    "vehicle": ("vehicle",),
-    "gap verdicts": ("gap/answer/decision.py", "gap/selection"),
-}
 # These try the project's folder itself, which a copy is not.
-_UNFIT = ("tests/test_", "tests/acceptance/")
-_NOTICED, _UNNOTICED = 1, 0
-_WAITS_S = 60.0
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """Say what became of a mutant: "caught", or "survived"."""
-
-    room: str
-    site: Site
-    what: str
-    told: str
+_UNFIT = ("tests/test_", "tests/acceptance")
+_QUIET = ("-x", "-q", "-p", "no:cacheprovider", "-n", "0")
 
 
 def main() -> int:
@@ -67,32 +52,29 @@ def main() -> int:
     options = _parsed()
     if not options.copied:
         return _in_a_copy(sys.argv[1:])
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.default_int_handler)  # also where a shell has its background ignore them
-    root = Path.cwd()
-    drawn = _drawn(root, options)
-    import_what_does_not_change()
-    trial, verdicts = Trial(root, options.copied, options.longest), list[Verdict]()
-    random.Random(options.seed).shuffle(drawn)  # who stops it early has a fair sample
+    drawn = _drawn(Path.cwd(), options)
+    trial = Trial(Path.cwd(), Covering(options.copied), options.budget)
+    verdicts: dict[Site, Verdict] = {}
     try:
-        for number, (room, site) in enumerate(drawn, 1):
-            verdicts.append(trial.verdict(room, site, number))
+        while drawn:
+            verdicts.update((site, trial.verdict(site, number)) for number, site in enumerate(drawn, 1))
+            unsound = trial.unsound({v.caught_by for v in verdicts.values()} - {""})
+            drawn = [site for site, verdict in verdicts.items() if verdict.caught_by in unsound]
     except KeyboardInterrupt:
         print("stopped")
-    share = _table(verdicts)
-    return 0 if share >= options.least else 1
+    return 0 if _table(verdicts) >= options.least else 1
 
 
 def _parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--mutants", type=int, default=150)
+    parser.add_argument("--under", action="append", help="a room or file of the package")
+    parser.add_argument("--mutants", type=int, default=120)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--room", action="append", choices=list(ROOMS))
     parser.add_argument("--mutant", action="append", help="FILE#NUMBER, as it is printed")
-    parser.add_argument("--longest", type=float, default=30.0, help="seconds of tests a mutant")
-    parser.add_argument("--least", type=float, default=88.0, help="percent")
+    parser.add_argument("--budget", type=float, default=30.0, help="seconds of tests a mutant")
+    parser.add_argument("--least", type=float, default=90.0, help="percent")
     parser.add_argument("--copied", type=Path, help=argparse.SUPPRESS)
     return parser.parse_args()
 
@@ -101,11 +83,8 @@ def _in_a_copy(arguments: Sequence[str]) -> int:
     """Run this program in a copy of the project: the programs that tests start are to be mutants, too."""
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "mavcompass"
-        shutil.copytree(
-            PROJECT,
-            copy,
-            ignore=shutil.ignore_patterns(".git", ".venv*", "__pycache__", ".*cache", ".coverage*"),
-        )
+        unused = shutil.ignore_patterns(".git", ".venv*", "__pycache__", ".*cache", ".coverage*")
+        shutil.copytree(PROJECT, copy, ignore=unused)
         environment = {**os.environ, "PYTHONPATH": str(copy), "PYTHONPYCACHEPREFIX": f"{folder}/bytecode"}
         environment.pop("PYTHONDONTWRITEBYTECODE", None)
         environment.setdefault("MAVCOMPASS_SHARED_DATA", str(PROJECT.parent / "shared" / "data"))
@@ -114,116 +93,142 @@ def _in_a_copy(arguments: Sequence[str]) -> int:
         return subprocess.run(command, cwd=copy, env=environment).returncode
 
 
-def _drawn(root: Path, options: argparse.Namespace) -> list[tuple[str, Site]]:
-    places = [
-        (room, site)
-        for room, code in ROOMS.items()
-        if not options.room or room in options.room
-        for path in _files(root, code)
-        for site in sites(root, path)
-    ]
+def _drawn(root: Path, options: argparse.Namespace) -> list[Site]:
+    """Draw places evenly, in an order that leaves who stops early with a fair sample."""
+    parts = [root / "mavcompass" / part for part in options.under or [""]]
+    files = [f for part in parts for f in ([part] if part.is_file() else sorted(part.rglob("*.py")))]
+    places = [site for file in files for site in sites(root, str(file.relative_to(root)))]
     if options.mutant:
-        return [(room, site) for room, site in places if str(site) in options.mutant]
-    chosen = random.Random(options.seed).sample(range(len(places)), min(options.mutants, len(places)))
-    print(f"{len(chosen)} of {len(places)} places, seed {options.seed}", flush=True)
-    return [places[k] for k in sorted(chosen)]
+        return [site for site in places if str(site) in options.mutant]
+    drawn = random.Random(options.seed).sample(places, min(options.mutants, len(places)))
+    print(f"{len(drawn)} of {len(places)} places, seed {options.seed}", flush=True)
+    return drawn
 
 
-def _files(root: Path, code: Sequence[str]) -> list[str]:
-    paths = [root / "mavcompass" / name for name in code]
-    files = [f for path in paths for f in ([path] if path.is_file() else sorted(path.rglob("*.py")))]
-    return [str(f.relative_to(root)) for f in files]
+class Covering:
+    """Know which tests run a line and what they cost, as `scripts/coverage` has found."""
+
+    def __init__(self, project: Path) -> None:
+        """Read what was found. Raises FileNotFoundError before `scripts/coverage` has run."""
+        self._project = project
+        measured: dict[str, float] = json.loads((project / SECONDS).read_text())
+        rooms = {"/".join(name.split("::")[0].split("/")[:2]) for name in measured}
+        there = _collected([room for room in sorted(rooms) if not room.startswith(_UNFIT)])
+        self._seconds = {name: measured.get(name, 0.0) for name in there}
+        self._data = CoverageData(str(project / ".coverage"))
+        self._data.read()
+        # What a test runs that was written since is unknown; those of its room may be meant for a mutant.
+        self._since = (project / ".coverage").stat().st_mtime
+        self._changed = {name for name in there if self._is_newer(project / name.partition("::")[0])}
+
+    def tests(self, site: Site, budget_s: float) -> list[str]:
+        """Return the tests that run a place, the cheapest first, as many as the budget allows."""
+        lines = self._data.contexts_by_lineno(str(self._project / site.path))
+        # What a file does when it is loaded matters to whoever runs anything of it.
+        wanted = [self._line_then(site)] if site.in_function else list(lines)
+        contexts = {context for line in wanted for context in lines.get(line, ())}
+        files = {context.partition(" ")[2] for context in contexts if context.startswith("file ")}
+        room = "tests/" + site.path.split("/")[1] + "/"
+        found = [
+            name
+            for name in self._seconds
+            if f"test {name}" in contexts
+            or name.partition("::")[0] in files  # a fixture of all its tests
+            or (name in self._changed and name.startswith(room))
+        ]
+        found.sort(key=self._seconds.__getitem__)
+        spent = accumulate(self._seconds[name] for name in found)
+        return [
+            name for name, _ in takewhile(lambda pair: pair[1] <= budget_s, zip(found, spent, strict=True))
+        ]
+
+    def _is_newer(self, file: Path) -> bool:
+        return file.stat().st_mtime > self._since
+
+    def _line_then(self, site: Site) -> int:
+        """Return the number that a line had when it was measured; a new one has that of the one before."""
+        then, now = self._project / SOURCES / site.path, self._project / site.path
+        if not then.exists() or not self._is_newer(now):
+            return site.line
+        texts = then.read_text().splitlines(), now.read_text().splitlines()
+        blocks = difflib.SequenceMatcher(None, *texts, autojunk=False).get_matching_blocks()
+        block = [block for block in blocks if block.size and block.b < site.line][-1]
+        return block.a + min(site.line - block.b, block.size)
 
 
-def import_what_does_not_change() -> None:
-    """Load what every mutant needs before they are forked."""
-    import numpy  # noqa: F401
-    import pytest  # noqa: F401
-    import scipy.linalg
-    import scipy.optimize
-    import scipy.signal
-    import scipy.stats  # noqa: F401
+def _collected(rooms: Sequence[str]) -> list[str]:
+    """List the tests that there are; what they load from elsewhere stays loaded for all mutants."""
+
+    class Collected:
+        names: tuple[str, ...] = ()
+
+        def pytest_collection_finish(self, session: pytest.Session) -> None:
+            self.names = tuple(item.nodeid for item in session.items)
+
+    collected = Collected()
+    with open(os.devnull, "w") as nothing, _stdout(nothing.fileno()):
+        pytest.main([*_QUIET, "--collect-only", *rooms], plugins=[collected])
+    own = str(Path.cwd())
+    for name, module in list(sys.modules.items()):
+        if str(getattr(module, "__file__", "")).startswith(own) and name != "__main__":
+            del sys.modules[name]
+    return list(collected.names)
+
+
+@contextmanager
+def _stdout(descriptor: int) -> Iterator[None]:
+    sys.stdout.flush()
+    kept = os.dup(1)
+    os.dup2(descriptor, 1)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Say whether a mutant was caught, and by which test, where one has failed."""
+
+    caught: bool
+    caught_by: str
 
 
 class Trial:
     """Try mutants in a copy of the project."""
 
-    def __init__(self, root: Path, project: Path, longest_s: float) -> None:
-        self.root, self.longest_s = root, longest_s
-        self._covering = Covering(project) if is_measured(project) else None
+    def __init__(self, root: Path, covering: Covering, budget_s: float) -> None:
+        self._root, self._covering, self._budget_s = root, covering, budget_s
+        self._unsound: set[str] = set()
         self._failed = root.parent / "failed"
-        self._sound: dict[str, bool] = {}
 
-    def verdict(self, room: str, site: Site, number: int) -> Verdict:
+    def verdict(self, site: Site, number: int) -> Verdict:
         """Try one."""
-        text, what = mutated(self.root, site)
-        for tests in self._stages(site):
-            if self._is_noticed_by(tests, site, text, number):
-                return Verdict(room, site, what, "caught")
-        print(f"  {site} line {site.line}: {what}", flush=True)
-        return Verdict(room, site, what, "survived")
+        text, what = mutated(self._root, site)
+        tests = [t for t in self._covering.tests(site, self._budget_s) if t not in self._unsound]
+        with _changed(self._root / site.path, text, number):
+            failed = self._failing(tests)
+        told = "survived" if failed is None else "hung or did not load" if not failed else ""
+        if told:
+            print(f"  {site} line {site.line}, {len(tests)} tests, {told}: {what}", flush=True)
+        return Verdict(failed is not None, failed or "")
 
-    def _stages(self, site: Site) -> Iterator[list[str]]:
-        """Give the tests of the place's own room, then others."""
-        near, others = nearest(self.root, site.path)
-        if self._covering is not None:
-            # Who reads a table, or was written since, is not seen to run its line.
-            changed = {t for t in (*near, *others) if self._covering.is_older_than(t)}
-            whole = [t for t in near if not site.in_function or t in changed]
-            elsewhere = [t for t in others if t in changed]
-            left_out, room = {*whole, *elsewhere}, set(near)
-            seen = [t for t in self._covering.tests(site) if not t.startswith(_UNFIT)]
-            seen = [t for t in seen if t.partition("::")[0] not in left_out]
-            near = [t for t in seen if t.partition("::")[0] in room] + whole
-            others = elsewhere + [t for t in seen if t.partition("::")[0] not in room]
-        yield near
-        yield others
+    def unsound(self, tests: set[str]) -> set[str]:
+        """Find those among tests that fail as it is, which are not asked again."""
+        found: set[str] = set()
+        while failed := self._failing(sorted(tests - found)):
+            print(f"  left out, fails as it is: {failed}", flush=True)
+            found.add(failed)
+        self._unsound |= found
+        return found
 
-    def _is_noticed_by(self, tests: list[str], site: Site, text: str, number: int) -> bool:
-        unsound: list[str] = []
-        while tests:
-            with _changed(self.root / site.path, text, number):
-                noticed = self._status([*tests, *(f"--deselect={test}" for test in unsound)])
-            blamed = self._failed.read_text() if self._failed.exists() else ""
-            if not noticed or not blamed or self._is_sound(blamed):
-                return noticed
-            unsound.append(blamed)
-        return False
-
-    def _is_sound(self, test: str) -> bool:
-        """Tell whether a test passes as it is."""
-        if test not in self._sound:
-            self._sound[test] = not self._status([test])
-            if not self._sound[test]:
-                print(f"  left out, fails as it is: {test}", flush=True)
-        return self._sound[test]
-
-    def _status(self, arguments: list[str]) -> bool:
-        """Run tests in a forked process; True where one fails, or the process has to be ended."""
+    def _failing(self, tests: Sequence[str]) -> str | None:
+        """Run tests in a forked process; return the first that fails, "" where none can be named."""
         self._failed.unlink(missing_ok=True)
-        run = partial(_run, arguments, self._failed, self.longest_s)
-        return _forked(run, self.longest_s) != _UNNOTICED
-
-
-def nearest(root: Path, path: str) -> tuple[list[str], list[str]]:
-    """Return the tests in the folder that mirrors a file's, and the others of the room above.
-
-    Those with the file's name come first, then those that speak of it, then those that speak of its folder.
-    """
-    module = path.removesuffix(".py").replace("/", ".")
-    package, _, name = module.rpartition(".")
-    folders = Path(path).parts[1:-1] or ("ground",)
-    depth = max(n for n in range(1, len(folders) + 1) if (root / "tests" / Path(*folders[:n])).is_dir())
-    folder = root / "tests" / Path(*folders[:depth])
-
-    def distance(test: Path) -> tuple[bool, bool, bool]:
-        text = test.read_text()
-        return name not in test.name, module not in text, package not in text
-
-    tests = sorted(sorted((root / "tests" / folders[0]).rglob("test_*.py")), key=distance)
-    near = [str(test.relative_to(root)) for test in tests if folder in test.parents]
-    others = [str(test.relative_to(root)) for test in tests if folder not in test.parents]
-    return near, others
+        if not tests or _forked(tests, self._failed, self._budget_s):
+            return None
+        return self._failed.read_text() if self._failed.exists() else ""
 
 
 @contextmanager
@@ -238,72 +243,46 @@ def _changed(path: Path, text: str, number: int) -> Iterator[None]:
         path.write_bytes(original)
 
 
-def _run(arguments: list[str], failed: Path, longest_s: float) -> int:
-    import pytest
-
-    class Watch:
-        """Note what fails first; end between two tests when the time is up."""
-
-        session: pytest.Session
-        began_s = time.process_time()  # on a busy machine the same tests are run as on an idle one
-
-        def pytest_sessionstart(self, session: pytest.Session) -> None:
-            self.session = session
-
-        def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-            if report.failed:
-                failed.write_text(report.nodeid)
-            elif time.process_time() - self.began_s > longest_s:
-                self.session.shouldstop = "the time is up"
-
-    done = pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-n", "0", *arguments], plugins=[Watch()])
-    ended = done == pytest.ExitCode.INTERRUPTED and time.process_time() - Watch.began_s > longest_s
-    return _UNNOTICED if not failed.exists() and (done == pytest.ExitCode.OK or ended) else _NOTICED
-
-
-def _forked(work: Callable[[], int], longest_s: float) -> int:
-    """Do work in a forked process, silently; a process that hangs ends by the system."""
+def _forked(tests: Sequence[str], failed: Path, budget_s: float) -> bool:
+    """Tell whether tests pass in a forked process, which is ended by force where it hangs."""
     sys.stdout.flush()
     child = os.fork()
     if child == 0:
-        status = _NOTICED
+        status = 1
         try:
             os.setsid()
-            limit_s = int(3.0 * longest_s + 20.0)
+            limit_s = int(3.0 * budget_s + 20.0)
             resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s))
             nothing = os.open(os.devnull, os.O_RDWR)
-            for descriptor in (0, 1):
+            for descriptor in (0, 1, 2):
                 os.dup2(nothing, descriptor)
-            status = work()
-        except Exception:
-            traceback.print_exc()
+
+            class Watch:
+                def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+                    if report.failed:
+                        failed.write_text(report.nodeid)
+
+            status = int(pytest.main([*_QUIET, *tests], plugins=[Watch()]))
         finally:
             os._exit(status)
-    end_s = time.monotonic() + 40.0 * longest_s + _WAITS_S
-    while time.monotonic() < end_s:
-        ended, status = os.waitpid(child, os.WNOHANG)
-        if ended:
-            break
+    status, end_s = -1, time.monotonic() + 10.0 * budget_s + 60.0
+    while time.monotonic() < end_s and status == -1:
         time.sleep(0.02)
-    else:
-        status = -1
-    # What its tests started ends with it.
+        ended, told = os.waitpid(child, os.WNOHANG)
+        status = told if ended else -1
     with suppress(ProcessLookupError):
-        os.killpg(child, signal.SIGKILL)
+        os.killpg(child, signal.SIGKILL)  # what its tests started ends with it
     if status == -1:
         os.waitpid(child, 0)
-        return _NOTICED
-    return os.waitstatus_to_exitcode(status)
+    return status == 0
 
 
-def _table(verdicts: Sequence[Verdict]) -> float:
+def _table(verdicts: dict[Site, Verdict]) -> float:
     """Print what was caught by room; return the share in percent."""
-    count = Counter((v.room, v.told) for v in verdicts)
-    tolds = ("caught", "survived")
-    print(f"{'room':20}" + "".join(f"{told:>16}" for told in tolds))
-    for room in dict.fromkeys(v.room for v in verdicts):
-        print(f"{room:20}" + "".join(f"{count[room, told]:>16}" for told in tolds))
-    caught, n = sum(v.told == "caught" for v in verdicts), len(verdicts)
+    count = Counter((site.path.split("/")[1], verdict.caught) for site, verdict in verdicts.items())
+    for room in sorted({room for room, _ in count}):
+        print(f"{room:20}{count[room, True]:>6} caught{count[room, False]:>6} survived")
+    caught, n = sum(verdict.caught for verdict in verdicts.values()), len(verdicts)
     low, high = _interval(caught, n)
     print(f"{caught} of {n} caught = {100.0 * caught / max(n, 1):.1f} % ({low:.1f} .. {high:.1f})")
     return 100.0 * caught / max(n, 1)

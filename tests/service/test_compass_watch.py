@@ -82,6 +82,25 @@ def test_a_field_that_the_world_does_not_have_is_found(
     assert found(lambda t: glance(t, heading(t, 1.0, 1, scale, dip_deg))) == expected
 
 
+@pytest.mark.parametrize(
+    ("level_deg", "dip_deg", "course_deg", "expected"),
+    [
+        (2.0, 5.5, 0.0, set()),  # hypot(4, 2 x 2) = 5.66
+        (2.0, -5.8, 0.0, {"dip1"}),
+        (3.0, 0.0, 16.5, set()),  # hypot(12, 2 x 3 x 1.94) = 16.7
+        (3.0, 0.0, -17.0, {"course1"}),
+    ],
+)
+def test_two_sigmas_of_the_level_excuse_the_dip_and_a_heading_as_often_as_the_field_is_steep(
+    level_deg: float, dip_deg: float, course_deg: float, expected: set[str]
+) -> None:
+    def see(t: float) -> Glance:
+        ahead = replace(glance(t, heading(t, 1.0, dip_deg=dip_deg)), kind="boat", speed_mps=3.0)
+        return replace(ahead, tilt_sigma_rad=level_deg * DEG, course_rad=1.0 + course_deg * DEG)
+
+    assert found(see) == expected
+
+
 def test_compasses_that_disagree_are_found() -> None:
     assert found(lambda t: glance(t, heading(t, 6.2), heading(t, 0.2, 2))) == {"agreement2"}
 

@@ -18,15 +18,19 @@ from mavcompass.vehicle.links.simulated import SimulatedLink
 
 
 class Listening(SimulatedLink):
-    """Leave out messages of these kinds, and all after a time."""
+    """Leave out messages of these kinds, the date before the place, and all after a time."""
 
     left_out: tuple[type, ...] = ()
+    knows_its_place = False
     silent_from_s = math.inf
     unix_s = 0.0
 
     def receive(self, timeout_s: float):  # type: ignore[no-untyped-def]
         heard = super().receive(timeout_s)
         if heard is None or isinstance(heard.message, self.left_out) or heard.time_s > self.silent_from_s:
+            return None
+        self.knows_its_place |= isinstance(heard.message, GlobalPositionInt)
+        if isinstance(heard.message, SystemTime) and not self.knows_its_place:
             return None
         if self.unix_s and isinstance(heard.message, SystemTime):
             return replace(heard, message=replace(heard.message, time_unix_usec=round(1e6 * self.unix_s)))

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import ast
-import copy
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 _COMPARED: dict[type[ast.cmpop], type[ast.cmpop]] = {
@@ -38,7 +38,7 @@ _HINTS = frozenset({"strict", "repr", "slots", "frozen", "kw_only", "maxlen"})
 
 @dataclass(frozen=True)
 class Site:
-    """Name a place that can be changed: the file, which of its places, the line, what is done there.
+    """Name a place that can be changed: the file, which of its places, the line.
 
     Attributes:
         in_function: it runs when a test runs, not when the file is loaded.
@@ -47,7 +47,6 @@ class Site:
     path: str
     number: int
     line: int
-    kind: str
     in_function: bool
 
     def __str__(self) -> str:
@@ -65,17 +64,16 @@ def sites(root: Path, path: str) -> list[Site]:
         for node in ast.walk(statement)
     }
     return [
-        Site(path, number, getattr(node, "lineno", 0), kind, id(node) in inside)
-        for number, (node, kind, _) in enumerate(_places(tree))
+        Site(path, number, node.lineno, id(node) in inside) for number, (node, _) in enumerate(_changes(tree))
     ]
 
 
 def mutated(root: Path, site: Site) -> tuple[str, str]:
     """Return the file's text with the place changed, and a line that says what was done."""
     tree = ast.parse((root / site.path).read_text())
-    node, kind, which = list(_places(tree))[site.number]
+    node, change = list(_changes(tree))[site.number]
     before = ast.unparse(node)
-    _change(node, kind, which)
+    change()
     ast.fix_missing_locations(tree)
     return ast.unparse(tree), f"{_short(before)}  ->  {_short(ast.unparse(node))}"
 
@@ -85,30 +83,36 @@ def _short(text: str) -> str:
     return line if len(line) <= 80 else line[:77] + "..."
 
 
-def _places(tree: ast.Module) -> Iterator[tuple[ast.AST, str, int]]:
+def _changes(tree: ast.Module) -> Iterator[tuple[ast.expr | ast.stmt, Callable[[], None]]]:
+    """Give each node that can be changed with what changes it."""
     left_out = {id(node) for part in _left_out(tree) for node in ast.walk(part)}
     for node in ast.walk(tree):
         if id(node) in left_out:
             continue
         match node:
-            case ast.Compare():
-                for which, operator in enumerate(node.ops):
+            case ast.Compare(ops=operators):
+                for which, operator in enumerate(operators):
                     if type(operator) in _COMPARED:
-                        yield node, "compared", which
-            case ast.BinOp() if type(node.op) in _COMPUTED:
-                yield node, "computed", 0
-            case ast.UnaryOp(op=ast.USub() | ast.Not()):
-                yield node, "sign", 0
-            case ast.BoolOp():
-                yield node, "and/or", 0
-            case ast.Constant(value=bool()):
-                yield node, "truth", 0
-            case ast.Constant(value=int() | float()):
-                yield node, "number", 0
+                        yield node, partial(operators.__setitem__, which, _COMPARED[type(operator)]())
+            case ast.BinOp(op=operator) if type(operator) in _COMPUTED:
+                yield node, partial(setattr, node, "op", _COMPUTED[type(operator)]())
+            case ast.UnaryOp(op=ast.USub()):
+                yield node, partial(setattr, node, "op", ast.UAdd())
+            case ast.UnaryOp(op=ast.Not(), operand=operand):
+                yield node, partial(setattr, node, "operand", ast.UnaryOp(ast.Not(), operand))
+            case ast.BoolOp(op=operator):
+                yield node, partial(setattr, node, "op", ast.And() if type(operator) is ast.Or else ast.Or())
+            case ast.Constant(value=bool(value)):
+                yield node, partial(setattr, node, "value", not value)
+            case ast.Constant(value=int(value)):
+                yield node, partial(setattr, node, "value", value + 1)
+            case ast.Constant(value=float(value)):
+                other = 1.5 * value + (0.1 if abs(value) < 1e-3 else 0.0)
+                yield node, partial(setattr, node, "value", other)
             case ast.Return(value=ast.expr()) if ast.unparse(node) != "return None":
-                yield node, "returned", 0
-            case ast.If() | ast.IfExp():
-                yield node, "condition", 0
+                yield node, partial(setattr, node, "value", ast.Constant(None))
+            case ast.If(test=test) | ast.IfExp(test=test):
+                yield node, partial(setattr, node, "test", ast.UnaryOp(ast.Not(), test))
 
 
 def _left_out(tree: ast.Module) -> Iterator[ast.AST]:
@@ -122,29 +126,3 @@ def _left_out(tree: ast.Module) -> Iterator[ast.AST]:
             yield node
         if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
             yield node
-
-
-def _change(node: ast.AST, kind: str, which: int) -> None:
-    match node:
-        case ast.Compare():
-            node.ops[which] = _COMPARED[type(node.ops[which])]()
-        case ast.BinOp():
-            node.op = _COMPUTED[type(node.op)]()
-        case ast.UnaryOp(op=ast.Not()):
-            node.operand = ast.UnaryOp(ast.Not(), node.operand)
-        case ast.UnaryOp():
-            node.op = ast.UAdd()
-        case ast.BoolOp():
-            node.op = ast.And() if isinstance(node.op, ast.Or) else ast.Or()
-        case ast.Constant(value=bool() as value):
-            node.value = not value
-        case ast.Constant(value=int() as value):
-            node.value = value + 1
-        case ast.Constant(value=float() as value):
-            node.value = 1.5 * value + (0.1 if abs(value) < 1e-3 else 0.0)
-        case ast.Return():
-            node.value = ast.Constant(None)
-        case ast.If() | ast.IfExp():
-            node.test = ast.UnaryOp(ast.Not(), copy.deepcopy(node.test))
-        case _:
-            raise AssertionError(kind)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 from collections import Counter
 from collections.abc import Iterator
@@ -18,6 +19,7 @@ import pytest
 from mavcompass.workers import child
 
 SECONDS = ".coverage-seconds"
+SOURCES = ".coverage-sources"
 _END_S = 10.0
 _seconds: Counter[str] = Counter()
 
@@ -65,6 +67,7 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Write how long the tests took, once for all workers."""
+    """Write how long the tests took, once for all workers, and keep the text whose lines were counted."""
     if not hasattr(session.config, "workerinput"):
         Path(SECONDS).write_text(json.dumps(_seconds))
+        shutil.copytree("mavcompass", f"{SOURCES}/mavcompass", ignore=shutil.ignore_patterns("__pycache__"))

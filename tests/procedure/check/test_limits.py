@@ -41,7 +41,7 @@ def reading(strength: float = 1.0, dip_deg: float = 0.0) -> Reading:
         ((1.0, 0.0, 0.0), "pass", "Compass 2: offsets 1 mG."),
         ((-400.0, 300.0, 0.0), "pass", "Compass 2: offsets 500 mG."),
         ((-401.0, 0.0, 0.0), "warn", "Compass 2: offsets 401 mG."),
-        ((0.0, 0.0, 1799.0), "warn", "Compass 2: offsets 1799 mG."),
+        ((0.0, 0.0, 1800.0), "warn", "Compass 2: offsets 1800 mG."),
         ((0.0, 1500.0, 1000.0), "fail", "Compass 2: offsets 1803 mG."),
     ],
 )
@@ -134,7 +134,7 @@ def test_dip(degrees: float, verdict: Verdict) -> None:
 
 
 @pytest.mark.parametrize(
-    ("mgauss", "verdict"), [(184.0, "fail"), (186.0, "pass"), (719.0, "pass"), (721.0, "fail")]
+    ("mgauss", "verdict"), [(184.0, "fail"), (185.0, "pass"), (720.0, "pass"), (721.0, "fail")]
 )
 def test_strength_where_the_place_is_unknown(mgauss: float, verdict: Verdict) -> None:
     (item,) = items.judge_field(Reading(3, 0.6 * mgauss, -0.8 * mgauss, 0.0), None)
@@ -283,23 +283,6 @@ def test_the_report_says_its_worst(told: CheckReport, says: str, advised: bool) 
         document["summary"] == says and document["verdict"] == told.verdict and document["duration_s"] == 7.0
     )
     assert len(document["items"]) == len(told.items) and document["turned"] is told.turned
-
-
-@pytest.mark.parametrize(
-    ("value", "verdict"), [(5.0, "pass"), (5.001, "warn"), (15.0, "warn"), (15.001, "fail")]
-)
-def test_what_lies_at_a_limit_is_on_its_better_side(value: float, verdict: Verdict) -> None:
-    assert items.judge_yaw(1, value, 1).verdict == items.judge_yaw(1, -value, 1).verdict == verdict
-
-
-def test_limits_of_offsets_and_of_the_earths_field_are_within() -> None:
-    assert items.judge_offsets(1, FieldCorrection((400.0, 0.0, 0.0)), True).verdict == "pass"
-    assert items.judge_offsets(1, FieldCorrection((1800.0, 0.0, 0.0)), True).verdict == "warn"
-    for total in (185.0, 720.0):
-        (item,) = items.judge_field(Reading(1, total, 0.0, 0.0), None)
-        assert item.verdict == "pass" and item.limit == 720.0
-    assert items.worst([]) == "pass" and items.worst(["warn", "pass"]) == "warn"
-    assert items.worst(["warn", "fail", "pass"]) == "fail"
 
 
 @pytest.mark.parametrize(("kind", "itself"), [("rover", True), ("copter", True), ("plane", False)])

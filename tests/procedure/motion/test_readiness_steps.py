@@ -187,13 +187,6 @@ def test_arming_shows_in_the_heartbeat_within_three_seconds(arms_after_s: float,
         assert len(vehicle.asked(MavCmd.COMPONENT_ARM_DISARM)) == 1
 
 
-def test_arming_that_is_refused_is_waited_on_for_the_reason() -> None:
-    vehicle = Vehicle(armed=False, arm=True)
-    vehicle.result = MavResult.FAILED
-    error = vehicle.makes_ready().error
-    assert isinstance(error, Refused) and vehicle.now_s == pytest.approx(3.1, abs=0.2)
-
-
 def test_what_was_armed_by_a_pilot_is_not_disarmed_and_its_mode_not_touched() -> None:
     vehicle = Vehicle()
     assert vehicle.makes_ready().error is None

@@ -103,15 +103,6 @@ def test_a_copter_takes_off_is_calibrated_and_lands_where_it_was(tmp_path: Path)
     assert vehicle.firmware.reports.heartbeat() == before
 
 
-def test_a_copter_that_flies_low_is_not_told_to_take_off(tmp_path: Path) -> None:
-    vehicle = SimulatedAutopilot("copter", seed=1)
-    vehicle.body.height_m = vehicle.firmware.steering.hover.height_m = 1.3  # type: ignore[attr-defined]
-    numbers = commands_heard(vehicle)
-    with pytest.raises(Refused, match="too low to be turned"):
-        calibrated(vehicle, tmp_path, allow(Permissions(takeoff_m=5.0)))
-    assert MavCmd.NAV_TAKEOFF not in numbers
-
-
 def test_a_vehicle_that_will_not_arm_says_why_and_keeps_its_mode(tmp_path: Path) -> None:
     never_calibrated = {f"COMPASS_OFS_{axis}": 0.0 for axis in "XYZ"}
     vehicle = SimulatedAutopilot("rover", seed=1, armed=False, parameters=never_calibrated)
