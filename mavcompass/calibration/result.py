@@ -47,17 +47,20 @@ class Position:
     residual_mgauss: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
 
 
+# Half a metre of hull laid along a line to a centimetre by eye.
+BY_EYE_SIGMA_RAD = math.radians(1.0)
+
+
 @dataclass(frozen=True, slots=True)
 class TrueHeading:
     """Hold where the vehicle points, from true north, as a person or a second antenna tells it, radians.
 
     Attributes:
-        sigma_rad: by default that of half a metre of hull laid along a line to a centimetre by eye.
         by: the name in the evidence of the source that tells it, which then is no witness; "" for a person.
     """
 
     heading_rad: float
-    sigma_rad: float = math.radians(1.0)
+    sigma_rad: float = BY_EYE_SIGMA_RAD
     by: str = ""
 
     def to_json(self) -> dict[str, Any]:

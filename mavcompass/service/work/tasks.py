@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from msgspec import Meta
 
 from mavcompass.calibration.methods import method_names
-from mavcompass.calibration.result import TrueHeading
+from mavcompass.calibration.result import BY_EYE_SIGMA_RAD, TrueHeading
 from mavcompass.errors import MavCompassError, Refused
 from mavcompass.heading.live import Heading
 from mavcompass.procedure.script import Ask, Show
@@ -67,7 +67,7 @@ class CalibrationRequest:
         Annotated[float, Meta(ge=-360.0, le=360.0)] | None,
         Meta(description="For one-point: where it points, from true north; else a second antenna's."),
     ] = None
-    true_heading_sigma_deg: Annotated[float, Meta(ge=0.05, le=45.0)] = 1.0
+    true_heading_sigma_deg: Annotated[float, Meta(ge=0.05, le=45.0)] = math.degrees(BY_EYE_SIGMA_RAD)
     max_error_deg: Annotated[float, Meta(ge=0.1, le=45.0)] = 2.0
     positions: Annotated[int, Meta(ge=3, le=24)] = 4
     dwell_s: Annotated[float, Meta(ge=0.5, le=60.0)] = 2.0
