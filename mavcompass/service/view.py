@@ -10,13 +10,7 @@ from mavcompass import messages as mav
 from mavcompass.attitude import Level
 from mavcompass.attitude.heard import hear
 from mavcompass.calibration.result import CalibrationResult
-from mavcompass.compass_parameters import (
-    ardupilot_name,
-    ardupilot_naming,
-    is_calibrated,
-    px4_name,
-    px4_sensor_to_body,
-)
+from mavcompass.compass_parameters import is_calibrated
 from mavcompass.earth_field import EarthField
 from mavcompass.heading.doubt import prior_sigma_rad
 from mavcompass.heading.live import Heading, LiveCompass
@@ -148,9 +142,9 @@ class VehicleView:
             self._tell_correction(compass)
 
     def _tell_correction(self, compass: LiveCompass) -> None:
-        if self.identity.autopilot == "px4" and self.parameters:
-            correction = make_dialect("px4").correction(self.parameters, compass.instance)
-            compass.set_uncorrected(correction, px4_sensor_to_body(self.parameters, compass.instance))
+        dialect, of = make_dialect(self.identity.autopilot), (self.parameters, compass.instance)
+        if self.parameters and (rotation := dialect.raw_rotation(*of)) is not None:
+            compass.set_uncorrected(dialect.correction(*of), rotation)
 
     def calibrated(self, results: Iterable[CalibrationResult]) -> None:
         """Take what was just written, so that the heading is told with the doubt of that from now on."""
@@ -160,10 +154,9 @@ class VehicleView:
                 continue
             compass.restart()
             self.set_calibration_sigma(result.instance, result.heading_sigma_deg)
-            if self.identity.autopilot == "px4" and result.mounting.turned is None:
-                compass.set_uncorrected(
-                    result.correction, px4_sensor_to_body(self.parameters, result.instance)
-                )
+            rotation = make_dialect(self.identity.autopilot).raw_rotation(self.parameters, result.instance)
+            if rotation is not None and result.mounting.turned is None:
+                compass.set_uncorrected(result.correction, rotation)
 
     def instances(self) -> tuple[int, ...]:
         """List the compasses that the vehicle has, by its parameters and by those heard."""
@@ -172,10 +165,7 @@ class VehicleView:
 
     def device_id(self, instance: int) -> int:
         """Return a compass's device id, 0 where it is not known."""
-        if self.identity.autopilot == "px4":
-            return int(self.parameters.get(px4_name("ID", instance), 0.0))
-        name = ardupilot_name("DEV_ID", instance, ardupilot_naming(self.parameters))
-        return int(self.parameters.get(name, 0.0))
+        return make_dialect(self.identity.autopilot).device_ids(self.parameters)[instance - 1]
 
     def set_calibration_sigma(self, instance: int, sigma_deg: float | None) -> None:
         """Say how good the calibration in force is; None where that is not known."""
