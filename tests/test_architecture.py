@@ -27,7 +27,7 @@ MAY_IMPORT = {  # each also its own files and the ground floor
     "simulation": {"heading"},
     "gap": {"simulation", "calibration"},
     "procedure": {"calibration", "heading"},
-    "vehicle": {"attitude", "heading", "calibration", "simulation", "gap", "procedure"},
+    "vehicle": {"attitude", "heading", "calibration", "simulation", "gap", "procedure", "logs"},
     "logs": set(),
 }
 # What lives in a room, from the top down: a row may import the rows below it, and nothing of its own row.
@@ -77,7 +77,7 @@ ROWS = {
         {"first_look"},
         {"calibrate", "check", "doctor", "fleet", "gap", "heading", "params", "replay", "serve", "simulate"},
         {"calibration"},
-        {"serving", "source"},
+        {"source"},
         {"options"},
         {"terminal"},
     ],

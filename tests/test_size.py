@@ -12,13 +12,13 @@ ROOT = Path(__file__).parents[1]
 LINES = {
     "package gap": (14_990, 10_500),
     "package simulation": (8_080, 5_800),
-    "package attitude calibration heading": (8_930, 5_400),
-    "package vehicle messages enums.py": (7_700, 5_200),
+    "package attitude calibration heading": (8_940, 5_400),
+    "package vehicle messages enums.py": (7_670, 5_200),
     "package procedure": (6_230, 4_400),
-    "package service": (5_300, 4_100),
+    "package service": (5_290, 4_100),
     "package logs": (4_590, 3_600),
-    "package cli": (4_070, 2_900),
-    "package": (67_040, 46_500),
+    "package cli": (4_050, 2_900),
+    "package": (66_990, 46_500),
     "tests": (43_270, 29_000),
     "scripts": (8_850, 4_400),
 }

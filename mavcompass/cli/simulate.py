@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mavcompass.cli.options import FILE, Output, Whole, common_options
-from mavcompass.cli.serving import listen_option, quiet_option, serve, speed_option
-from mavcompass.cli.source import require_for
+from mavcompass.cli.source import listen_option, quiet_option, require_for, serve, speed_option
 from mavcompass.errors import UsageError
 from mavcompass.vehicle.transport import VEHICLES
 

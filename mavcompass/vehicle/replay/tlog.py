@@ -5,21 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 from struct import Struct
-from typing import BinaryIO
 
 from mavcompass.errors import BadRecording, UsageError
 from mavcompass.files import require_file
-from mavcompass.messages.frame import FRAME_STARTS, LONGEST_FRAME
-from mavcompass.vehicle.wire import wire_format
-from mavcompass.vehicle.wire.framing import Frame, checksum_is_right, frame_length, split_frame
+from mavcompass.logs.common import read_chunks
+from mavcompass.logs.formats.tlog.frames import LONGEST_RECORD, PADDING, find_frames
+from mavcompass.vehicle.wire.framing import Frame, split_frame
 
 _TIME_STAMP = Struct(">Q")
 _PIECE = 1 << 20
-_LONGEST = 2 * (LONGEST_FRAME + _TIME_STAMP.size)  # a frame, and the beginning of the next
 # Nobody waits through the night between two power-ups.
 LONGEST_PAUSE_S = 10.0
-# So many places in a row where a frame might begin and none does: ten megabytes by chance.
-_MOST_FAILED = 100_000
 
 
 def tlog_frames(path: Path) -> Iterator[tuple[float, Frame]]:
@@ -30,46 +26,19 @@ def tlog_frames(path: Path) -> Iterator[tuple[float, Frame]]:
     """
     require_file(path)
     try:
-        with path.open("rb") as file:
-            if not path.stat().st_size:
-                raise BadRecording(f"{path} is empty.", "Give another recording.")
-            yield from _frames(file)
+        if not path.stat().st_size:
+            raise BadRecording(f"{path} is empty.", "Give another recording.")
+        covered = 0
+        for chunk in read_chunks(path, longest_record=LONGEST_RECORD, padding=PADDING, chunk_bytes=_PIECE):
+            good, _ = find_frames(chunk, max(covered - chunk.offset, 0))
+            data = chunk.data.tobytes()
+            for start, end in zip(good.start.tolist(), good.end.tolist(), strict=True):
+                stamp_us = _TIME_STAMP.unpack_from(data, start - _TIME_STAMP.size)[0]
+                yield stamp_us * 1e-6, split_frame(data[start:end])
+                covered = chunk.offset + end
     except OSError as error:
         reason = error.strerror or str(error)
         raise UsageError(f"{path} cannot be read: {reason}.", "Check the file's name.") from error
-
-
-def _frames(file: BinaryIO) -> Iterator[tuple[float, Frame]]:
-    data, at, failed = b"", 0, 0
-    while piece := file.read(_PIECE):
-        data, at = data[at:] + piece, 0
-        starts = dict.fromkeys(FRAME_STARTS, -1)  # where the next of each is
-        # What begins further on may not be whole yet, unless this was the last piece.
-        end = len(data) if len(piece) < _PIECE else len(data) - _LONGEST
-        while at + _TIME_STAMP.size < end:
-            begin = at + _TIME_STAMP.size
-            length = frame_length(data, begin)
-            if length and begin + length <= len(data):
-                frame = split_frame(data[begin : begin + length])
-                if checksum_is_right(frame):
-                    failed = 0
-                    yield _TIME_STAMP.unpack_from(data, at)[0] * 1e-6, frame
-                    at = begin + length
-                    continue
-                if wire_format(frame.message_id) is None and frame_length(
-                    data, begin + length + _TIME_STAMP.size
-                ):
-                    at = begin + length  # another dialect's message, with a record right behind it
-                    continue
-                failed += 1
-                if failed > _MOST_FAILED:
-                    return
-            for byte, start in starts.items():
-                if start <= begin:
-                    found = data.find(byte, begin + 1)
-                    starts[byte] = len(data) + _TIME_STAMP.size if found < 0 else found
-            at = min(starts.values()) - _TIME_STAMP.size
-        at = min(at, len(data))
 
 
 class RecordingClock:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cache
-from mmap import mmap
 from struct import Struct
 from typing import Protocol
 
@@ -210,7 +209,7 @@ def checksum_is_right(frame: Frame) -> bool:
     return checksum(unsigned[1:-2], form.crc_extra) == int.from_bytes(unsigned[-2:], "little")
 
 
-def frame_length(buffer: bytearray | bytes | mmap, at: int) -> int:
+def frame_length(buffer: bytearray | bytes, at: int) -> int:
     """Return the length of the frame that begins here; 0 while, or where, that cannot be told."""
     if len(buffer) - at < 3 or buffer[at] not in FRAME_STARTS:
         return 0
