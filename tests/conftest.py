@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import signal
 import subprocess
@@ -42,6 +43,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def _own_state(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Keep what the program keeps for itself out of the home of who runs the tests."""
     os.environ["XDG_STATE_HOME"] = str(tmp_path_factory.mktemp("state"))
+
+
+@pytest.fixture(scope="module")
+def campaigns() -> Iterator[Callable[[str], ModuleType]]:
+    """Import a campaign of `scripts/campaigns` by its name."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(PROJECT / "scripts" / "campaigns"))
+        yield importlib.import_module
 
 
 _PROCESS_S = 300.0

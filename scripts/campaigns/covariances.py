@@ -1,6 +1,6 @@
 """Is the covariance of a calibration positive definite, whatever was visited?
 
-    python scripts/campaigns/covariances.py [--problems 100000] [--seed 1]
+    python scripts/campaigns/covariances.py [--problems 100000] [--seed 1] [--workers 2]
 
 Draws four-position problems: two to seven stops, any steps between them, iron up to half of the field, tilt
 up to 0.2 rad. Told are the refused ones and the least eigenvalue of the correlation matrices. Exit code 1
@@ -9,14 +9,12 @@ where a covariance is not finite or not positive definite.
 
 from __future__ import annotations
 
-import argparse
 import sys
-from pathlib import Path
 
 import numpy as np
+from campaign import borrow, ended, options, tried
 
-PROJECT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(PROJECT), str(PROJECT / "tests" / "calibration")]
+borrow("calibration")
 
 from calibration_worlds import FIELD, Iron, four_positions  # noqa: E402
 
@@ -54,26 +52,26 @@ def least_eigenvalue(seed: tuple[int, int]) -> float | None:
 
 def main() -> int:
     """Draw them all."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--problems", type=int, default=100_000)
-    parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args()
-    refused, wrong, least = 0, 0, float("inf")
-    for number in range(options.problems):
-        found = least_eigenvalue((options.seed, number))
-        if found is None:
-            refused += 1
-            continue
-        least = min(least, found)
-        if not found > 0.0:
-            wrong += 1
-            print(f"problem {number} of seed {options.seed}: {found}", flush=True)
-        if (number + 1) % 10_000 == 0:
-            print(f"{number + 1} drawn, {wrong} wrong, least eigenvalue {least:.2g}", flush=True)
-    print(f"{options.problems} drawn, {refused} refused, {wrong} wrong, least eigenvalue {least:.2g}")
-    return 1 if wrong else 0
+    wanted = options(__doc__, problems=100_000, seed=1, workers=1)
+    cases = [(wanted.seed, number) for number in range(wanted.problems)]
+    found = [
+        *tried(
+            least_eigenvalue,
+            cases,
+            lambda least: [] if least is None or least > 0.0 else [f"least eigenvalue {least}"],
+            workers=wanted.workers,
+            every=10_000,
+        )
+    ]
+    solved = [least for least in found if least is not None]
+    figures = {
+        "drawn": len(found),
+        "refused": len(found) - len(solved),
+        "wrong": sum(not least > 0.0 for least in solved),
+        "least eigenvalue": min(solved, default=float("inf")),
+    }
+    print(", ".join(f"{name} {value:.6g}" for name, value in figures.items()))
+    return ended(wanted.json, figures, figures["wrong"])
 
 
 if __name__ == "__main__":

@@ -19,20 +19,20 @@ Exit code 1 where there is one.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
 import itertools
 import json
 import math
 import sys
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from campaign import Several, ended, options
+from campaign import folder as new_folder
 from door_situations import OTHERS, PARAMETERS, UNSEEN, Situation, Wire, situations
 
 from mavcompass import messages as mav
@@ -298,29 +298,25 @@ def contradictions(found: Sequence[Cell]) -> list[str]:
 
 def tried(chosen: Sequence[Situation]) -> list[Cell]:
     """Try situations."""
-    with tempfile.TemporaryDirectory() as folder:
-        return [one for of in chosen for one in cells(of, Path(folder))]
+    with new_folder() as folder:
+        return [one for of in chosen for one in cells(of, folder)]
 
 
 def main() -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    wanted = options(
+        __doc__,
+        only=(Several(), "situations with this in their name"),
+        free=(20, "free mountings of each autopilot"),
     )
-    parser.add_argument("--only", action="append", metavar="WORD", help="situations with this in their name")
-    parser.add_argument("--free", type=int, default=20, help="free mountings of each autopilot")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="every cell")
-    arguments = parser.parse_args()
-    every = list(situations(arguments.free))
-    chosen = [s for s in every if not arguments.only or any(word in s.family for word in arguments.only)]
+    every = list(situations(wanted.free))
+    chosen = [s for s in every if not wanted.only or any(word in s.family for word in wanted.only)]
     found = tried(chosen)
     print("\n".join(lines(found)))
     wrong = contradictions(found)
     print(f"\n{len(chosen)} situations, {len(found)} cells, {len(wrong)} contradictions")
     print("".join(f"  {line}\n" for line in wrong), end="")
-    if arguments.json:
-        arguments.json.write_text(json.dumps([asdict(one) for one in found], indent=1))
-    return 1 if wrong else 0
+    return ended(wanted.json, found, wrong)
 
 
 if __name__ == "__main__":

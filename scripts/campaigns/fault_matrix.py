@@ -15,24 +15,20 @@ programs killed by the system. Exit code 1 if any cell fails, 130 if Ctrl-C or S
 
 from __future__ import annotations
 
-import argparse
 import gc
 import logging
 import random
 import signal
 import sys
-import tempfile
 import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from unittest.mock import patch
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
+from campaign import Several, ended, folder, limit, options, share, tried
 from fault_cells.faults import FAULTS, applies, clock_of
 from fault_cells.judge import judge_end, judge_way_back
 from fault_cells.processes import killed_process
@@ -44,9 +40,8 @@ from mavcompass.vehicle import driver
 from mavcompass.vehicle.parameters.values import same_value
 
 LONGEST_CPU_S = 60.0
+TOO_LONG = Hung(f"still going on after {LONGEST_CPU_S:.0f} s of work")
 STARTED_AGAIN = ("killed", "link closed")
-# A real disk's fsync is most of the time of a cell that writes; what is judged is the same.
-IN_MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
 STOPPED = 130
 
 
@@ -83,9 +78,9 @@ class Outcome:
     scene: Scene | None = None
 
 
-def new_scene(work: Work, folder: Path) -> Scene:
+def new_scene(work: Work, place: Path) -> Scene:
     """Build a vehicle for a procedure, and what it needs."""
-    scene = Scene(work.vehicle(), folder)
+    scene = Scene(work.vehicle(), place)
     work.prepare(scene)
     scene.told.clear()
     scene.before = scene.compass_values()
@@ -94,8 +89,8 @@ def new_scene(work: Work, folder: Path) -> Scene:
 
 def trace(work: Work) -> Trace:
     """Run a procedure undisturbed."""
-    with tempfile.TemporaryDirectory(dir=IN_MEMORY) as folder:
-        scene = new_scene(work, Path(folder))
+    with folder() as place:
+        scene = new_scene(work, place)
         start_s, scene.active = scene.vehicle.time_s, True
         with watched_files(scene):
             work.do(scene)
@@ -108,8 +103,8 @@ def trace(work: Work) -> Trace:
 
 def run_cell(cell: Cell, traced: Trace) -> Outcome:
     """Run one cell and judge it."""
-    with tempfile.TemporaryDirectory(dir=IN_MEMORY) as folder:
-        scene = new_scene(cell.work, Path(folder))
+    with folder() as place:
+        scene = new_scene(cell.work, place)
         known = frozenset(scene.undo_folder.glob("*.json"))
         scene.fault, scene.target, scene.chance = cell.fault, cell.number, random.Random(str(cell))
         scene.touched = traced.touched
@@ -132,7 +127,12 @@ def run_cell(cell: Cell, traced: Trace) -> Outcome:
 
 def attempt(work: Work, scene: Scene) -> Ending:
     """Run a procedure with the scene's fault; nothing that it raises gets further than this."""
-    with watched_files(scene), clock_of(scene), time_limit(), tracebacks_noted(scene):
+    with (
+        watched_files(scene),
+        clock_of(scene),
+        limit(LONGEST_CPU_S, TOO_LONG, processor=True),
+        tracebacks_noted(scene),
+    ):
         try:
             return Ending(written=work.do(scene))
         except (Exception, Killed, Hung) as error:
@@ -142,7 +142,7 @@ def attempt(work: Work, scene: Scene) -> Ending:
 def started_again(work: Work, scene: Scene, traced: Trace) -> list[str]:
     """Run the procedure once more, undisturbed: it must end, and by its own errors if by any."""
     scene.limit_s = scene.vehicle.time_s + 2.0 * traced.seconds + 200.0
-    with time_limit():
+    with limit(LONGEST_CPU_S, TOO_LONG, processor=True):
         try:
             work.do(scene)
         except MavCompassError:
@@ -176,22 +176,6 @@ def tracebacks_noted(scene: Scene) -> Iterator[None]:
     finally:
         sys.unraisablehook = hook
         logging.getLogger().removeHandler(handler)
-
-
-@contextmanager
-def time_limit() -> Iterator[None]:
-    """End what takes too long; by processor time, for the machine may be busy with other things."""
-
-    def over(number: int, frame: FrameType | None) -> None:
-        raise Hung(f"still going on after {LONGEST_CPU_S:.0f} s of work")
-
-    before = signal.signal(signal.SIGPROF, over)
-    signal.setitimer(signal.ITIMER_PROF, LONGEST_CPU_S)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0.0)
-        signal.signal(signal.SIGPROF, before)
 
 
 @contextmanager
@@ -252,24 +236,24 @@ def tell_again(name: str) -> int:
     return 1 if outcome.wrong else 0
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(words: list[str] | None = None) -> int:
     """Run the campaign and print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    wanted = options(
+        __doc__,
+        words,
+        cells=5000,
+        seed=1,
+        work=Several(sorted({w.name for w in WORKS})),
+        fault=Several([f.name for f in FAULTS]),
+        cell=("", "run this one again"),
+        processes=(0, "as many real programs are killed, too"),
     )
-    parser.add_argument("--cells", type=int, default=5000)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--work", action="append", choices=sorted({w.name for w in WORKS}))
-    parser.add_argument("--fault", action="append", choices=[f.name for f in FAULTS])
-    parser.add_argument("--cell", help="run this one again")
-    parser.add_argument("--processes", type=int, default=0, help="as many real programs are killed, too")
-    options = parser.parse_args(arguments)
-    if options.cell:
-        return tell_again(options.cell)
+    if wanted.cell:
+        return tell_again(wanted.cell)
     began_s = time.monotonic()
-    traces = {work: trace(work) for work in WORKS if not options.work or work.name in options.work}
-    faults = [fault for fault in FAULTS if not options.fault or fault.name in options.fault]
-    cells = draw(traces, faults, options.cells, options.seed)
+    traces = {work: trace(work) for work in WORKS if not wanted.work or work.name in wanted.work}
+    faults = [fault for fault in FAULTS if not wanted.fault or fault.name in wanted.fault]
+    cells = draw(traces, faults, wanted.cells, wanted.seed)
     whole = matrix_size(traces, faults)
     print(
         f"{len(cells)} cells of {whole}: "
@@ -278,28 +262,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     outcomes: list[Outcome] = []
     try:
         with stopped_at_once():
-            for cell in cells:
-                outcomes.append(run_cell(cell, traces[cell.work]))
-                tell(outcomes[-1], len(outcomes))
+            for outcome in tried(lambda cell: run_cell(cell, traces[cell.work]), cells, complaint, every=250):
+                outcome.scene = None
+                outcomes.append(outcome)
     except KeyboardInterrupt:
         print("stopped")
         table(outcomes)
         return STOPPED
     table(outcomes)
-    killed = [killed_process(number % 8 + 1) for number in range(options.processes)]
+    killed = [killed_process(number % 8 + 1) for number in range(wanted.processes)]
     print("\n".join(f"a killed program: {sentence}" for wrong in killed for sentence in wrong))
     print(f"{time.monotonic() - began_s:.0f} s")
-    return 1 if any(outcome.wrong for outcome in outcomes) or any(killed) else 0
+    figures = [{"cell": str(o.cell), "told": o.told, "wrong": o.wrong} for o in outcomes]
+    return ended(wanted.json, figures, any(o.wrong for o in outcomes) or any(killed))
 
 
-def tell(outcome: Outcome, count: int) -> None:
-    """Print what went wrong, and how far it is."""
-    outcome.scene = None
-    if outcome.wrong:
-        cell = outcome.cell
-        print(f"  {cell} at {cell.step.kind} {cell.step.what}: {'; '.join(outcome.wrong)} [{outcome.told}]")
-    if outcome.wrong or count % 250 == 0:
-        print(f"  {count} cells", flush=True)
+def complaint(outcome: Outcome) -> list[str]:
+    """Say what went wrong in a cell."""
+    step = outcome.cell.step
+    words = f"at {step.kind} {step.what}: {'; '.join(outcome.wrong)} [{outcome.told}]"
+    return [words] if outcome.wrong else []
 
 
 def table(outcomes: Sequence[Outcome]) -> None:
@@ -314,7 +296,7 @@ def table(outcomes: Sequence[Outcome]) -> None:
         if any(ran[fault.name, work] for work in works):
             row = [f"{failed[fault.name, w]} of {ran[fault.name, w]}" for w in works]
             print(f"{fault.name:16}" + "".join(f"{text:>21}" for text in row))
-    print(f"{sum(bool(o.wrong) for o in outcomes)} of {len(outcomes)} cells failed")
+    print(f"{share(sum(bool(o.wrong) for o in outcomes), len(outcomes))} cells failed")
 
 
 if __name__ == "__main__":

@@ -10,13 +10,14 @@ or diagnosis. With --rows what was diagnosed is kept, and not done again.
 
 from __future__ import annotations
 
-import argparse
 import json
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from campaign import ended, options
 
 from mavcompass.correction import FieldCorrection
 from mavcompass.fleet.examine import Job, Row, rows_of
@@ -122,29 +123,24 @@ def report(pairs: list[tuple[str, Row]]) -> Distribution:
     named = {one.vehicle for one in distribution.odd}
     false = sorted(named - truth.keys())
     missed = [f"{vehicle} ({truth[vehicle]})" for vehicle in sorted(truth.keys() - named)]
-    print(f"{distribution.vehicles} vehicles, {len(truth)} odd: {len(truth) - len(missed)} named, "
-          f"{len(false)} false {false}, missed {missed}")  # fmt: skip
+    print(
+        f"{distribution.vehicles} vehicles, {len(truth)} odd: {len(truth) - len(missed)} named, "
+        f"{len(false)} false {false}, missed {missed}"
+    )
     return distribution
 
 
-def main() -> None:
+def main() -> int:
     """Make, diagnose, learn, count."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--vehicles", type=int, default=200)
-    parser.add_argument("--odd", type=int, default=6)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--rows", type=Path)
-    arguments = parser.parse_args()
-    if arguments.rows is not None and arguments.rows.exists():
-        pairs = [tuple(json.loads(line)) for line in arguments.rows.read_text(encoding="utf-8").splitlines()]
+    wanted = options(__doc__, vehicles=200, odd=6, seed=1, rows=Path)
+    if wanted.rows is not None and wanted.rows.exists():
+        pairs = [tuple(json.loads(line)) for line in wanted.rows.read_text(encoding="utf-8").splitlines()]
     else:
-        pairs = list(diagnosed(arguments.vehicles, arguments.odd, arguments.seed))
-        if arguments.rows is not None:
-            arguments.rows.write_text("".join(json.dumps(pair) + "\n" for pair in pairs), encoding="utf-8")
-    report(pairs)
+        pairs = list(diagnosed(wanted.vehicles, wanted.odd, wanted.seed))
+        if wanted.rows is not None:
+            wanted.rows.write_text("".join(json.dumps(pair) + "\n" for pair in pairs), encoding="utf-8")
+    return ended(wanted.json, report(pairs), wrong=False)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -10,21 +10,17 @@ code 1 if anything broke.
 
 from __future__ import annotations
 
-import argparse
 import random
 import resource
-import signal
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
-from types import FrameType
 
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE))
+from campaign import Several, ended, limit, options
 
-CORPUS = HERE / "fuzz_corpus"
+CORPUS = Path(__file__).with_name("fuzz_corpus")
 # What a chance byte hardly makes of a text: numbers beyond any type, brackets beyond any stack.
 WORDS = (b"\0", b"\xff" * 4, b"nan", b"1e30", b"-inf", b"9" * 400, b"null", b"{}", b"[" * 2000, b"\n")
 _START_UP_S = 600.0  # on a busy machine: the time of a share begins after all is loaded and instrumented
@@ -37,28 +33,27 @@ NAMES = (
 
 def main() -> int:
     """Run every target for its share and tell what broke."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    wanted = options(
+        __doc__,
+        minutes=(8.0, "over all targets in sum"),
+        target=Several(NAMES),
+        seed=1,
+        one=(False, "in this process"),
     )
-    parser.add_argument("--minutes", type=float, default=8.0, help="over all targets in sum")
-    parser.add_argument("--target", action="append", choices=NAMES)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--one", action="store_true", help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    targets = options.target or NAMES
-    if options.one:
-        return fuzz(targets[0], 60.0 * options.minutes, options.seed)
-    share, broken = options.minutes / len(targets), []
+    targets = wanted.target or NAMES
+    if wanted.one:
+        return fuzz(targets[0], 60.0 * wanted.minutes, wanted.seed)
+    share, broken = wanted.minutes / len(targets), []
     for name in targets:
         command = [sys.executable, __file__, "--one", "--target", name]
-        command += ["--minutes", str(share), "--seed", str(options.seed)]
+        command += ["--minutes", str(share), "--seed", str(wanted.seed)]
         said, status = ran(command, 60.0 * share + _START_UP_S)
         last = [line for line in said if line.startswith(("#", "Done"))][-1:]
         print(f"{name:15} {'broke' if status else 'right'}  {' '.join(last)}", flush=True)
         if status:
             broken.append(name)
             print("\n".join(said[-40:]), flush=True)
-    return 1 if broken else 0
+    return ended(wanted.json, {"broken": broken}, broken)
 
 
 def ran(command: list[str], longest_s: float) -> tuple[list[str], int]:
@@ -105,25 +100,19 @@ def mutate_for(name: str, seconds: float, seed: int) -> int:
     """Fuzz by mutation alone."""
     from fuzz_targets import TARGETS, seeds
 
-    def over(number: int, frame: FrameType | None) -> None:
-        raise TimeoutError(f"an input took more than {LONGEST_INPUT_S} s")
-
-    signal.signal(signal.SIGALRM, over)
-    limit = MOST_MEMORY_MB * 2**20
-    resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+    resource.setrlimit(resource.RLIMIT_DATA, (MOST_MEMORY_MB * 2**20, MOST_MEMORY_MB * 2**20))
+    too_long = TimeoutError(f"an input took more than {LONGEST_INPUT_S} s")
     chance, corpus, count = random.Random(seed), [*seeds(name), *kept(name)], 0
     end_s = time.monotonic() + seconds
     while time.monotonic() < end_s:
         content, count = mutated(chance.choice(corpus), chance), count + 1
-        signal.alarm(LONGEST_INPUT_S)
         try:
-            TARGETS[name](content)
+            with limit(LONGEST_INPUT_S, too_long):
+                TARGETS[name](content)
         except BaseException:
             (CORPUS / name).mkdir(parents=True, exist_ok=True)
             (CORPUS / name / f"crash-{seed}-{count}").write_bytes(content)
             raise
-        finally:
-            signal.alarm(0)
     print(f"Done {count} runs", file=sys.stderr)
     return 0
 

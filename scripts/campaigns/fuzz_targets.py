@@ -5,29 +5,26 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
-import os
-import sys
 import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-PROJECT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(PROJECT), str(PROJECT / "tests" / "logs")]
+from campaign import IN_MEMORY, PROJECT, borrow
 
-from mavcompass.errors import MavCompassError  # noqa: E402
-from mavcompass.gap.rehearsal import read_stored  # noqa: E402
-from mavcompass.gap.result import SCHEMA as DIAGNOSIS_SCHEMA  # noqa: E402
-from mavcompass.logs import read_track  # noqa: E402
-from mavcompass.messages import Heartbeat, Incoming, ParamValue, RawImu, Statustext, message_id  # noqa: E402
-from mavcompass.procedure.motion import SafetyLimits  # noqa: E402
-from mavcompass.procedure.motion.safety import MotionGuard  # noqa: E402
-from mavcompass.procedure.positions import Rest  # noqa: E402
-from mavcompass.procedure.turning import GyroAngle  # noqa: E402
-from mavcompass.procedure.vehicle_state import VehicleState, identify  # noqa: E402
-from mavcompass.service.config import parse_config  # noqa: E402
-from mavcompass.service.web.bodies import (  # noqa: E402
+from mavcompass.errors import MavCompassError
+from mavcompass.gap.rehearsal import read_stored
+from mavcompass.gap.result import SCHEMA as DIAGNOSIS_SCHEMA
+from mavcompass.logs import read_track
+from mavcompass.messages import Heartbeat, Incoming, ParamValue, RawImu, Statustext, message_id
+from mavcompass.procedure.motion import SafetyLimits
+from mavcompass.procedure.motion.safety import MotionGuard
+from mavcompass.procedure.positions import Rest
+from mavcompass.procedure.turning import GyroAngle
+from mavcompass.procedure.vehicle_state import VehicleState, identify
+from mavcompass.service.config import parse_config
+from mavcompass.service.web.bodies import (
     Answer,
     BadRequest,
     Comparing,
@@ -35,20 +32,21 @@ from mavcompass.service.web.bodies import (  # noqa: E402
     parse_address,
     parse_body,
 )
-from mavcompass.service.web.security import Guard  # noqa: E402
-from mavcompass.service.work.tasks import CalibrationRequest  # noqa: E402
-from mavcompass.simulation.effects import registry  # noqa: E402
-from mavcompass.simulation.effects.registry import PRESET_SCHEMA, read_preset  # noqa: E402
-from mavcompass.track_builder import TrackBuilder  # noqa: E402
-from mavcompass.vehicle.link import LinkStatistics  # noqa: E402
-from mavcompass.vehicle.parameters.files import read_parameter_file  # noqa: E402
-from mavcompass.vehicle.parameters.undo import load_record  # noqa: E402
-from mavcompass.vehicle.parameters.values import decode as decode_parameter  # noqa: E402
-from mavcompass.vehicle.transport import parse_address as parse_source  # noqa: E402
-from mavcompass.vehicle.wire import FrameParser, decode, encode  # noqa: E402
+from mavcompass.service.web.security import Guard
+from mavcompass.service.work.tasks import CalibrationRequest
+from mavcompass.simulation.effects import registry
+from mavcompass.simulation.effects.registry import PRESET_SCHEMA, read_preset
+from mavcompass.track_builder import TrackBuilder
+from mavcompass.vehicle.link import LinkStatistics
+from mavcompass.vehicle.parameters.files import read_parameter_file
+from mavcompass.vehicle.parameters.undo import load_record
+from mavcompass.vehicle.parameters.values import decode as decode_parameter
+from mavcompass.vehicle.transport import parse_address as parse_source
+from mavcompass.vehicle.wire import FrameParser, decode, encode
 
+borrow("logs")
 Target = Callable[[bytes], object]
-_FOLDER = Path(tempfile.mkdtemp(prefix="fuzz", dir="/dev/shm" if os.path.isdir("/dev/shm") else None))
+_FOLDER = Path(tempfile.mkdtemp(prefix="fuzz", dir=IN_MEMORY))
 # Frames of these are read by the listeners of a procedure.
 _ARMED = Heartbeat(type=2, autopilot=3, base_mode=128, system_status=4)
 _HEARD = (0, 1, 2, 22, 24, 26, 27, 29, 30, 32, 33, 36, 65, 74, 77, 105, 116, 129, 147, 193, 245, 253)

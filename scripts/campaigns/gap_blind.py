@@ -8,31 +8,30 @@ thresholds of the code under test were committed.
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 import time
-from pathlib import Path
+
+from campaign import ended, options
 
 from mavcompass.gap.trial.cases import GENERATORS, TIERS
 from mavcompass.gap.trial.trial import run_trial
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--generator", choices=GENERATORS, default="bench")
-    parser.add_argument("--tier", choices=TIERS, help="'outside' is one of the vehicles alone")
-    parser.add_argument("--cases", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=7)
-    parser.add_argument("--out", type=Path)
-    arguments = parser.parse_args()
+def main() -> int:
+    wanted = options(
+        __doc__,
+        generator=["bench", *(name for name in GENERATORS if name != "bench")],
+        tier=([None, *TIERS], "'outside' is one of the vehicles alone"),
+        cases=100,
+        seed=7,
+    )
     started = time.perf_counter()
 
     def progress(done: int) -> None:
         if done % 20 == 0:
-            print(f"{done} of {arguments.cases}, {time.perf_counter() - started:.0f} s", file=sys.stderr)
+            print(f"{done} of {wanted.cases}, {time.perf_counter() - started:.0f} s", file=sys.stderr)
 
-    trial = run_trial(arguments.cases, arguments.seed, arguments.tier, progress, arguments.generator)
+    trial = run_trial(wanted.cases, wanted.seed, wanted.tier, progress, wanted.generator)
     print("\n".join(trial.lines()))
     for case in trial.cases:
         right = case.exact or (case.label.tier == "outside" and case.flagged)
@@ -44,9 +43,8 @@ def main() -> None:
                 f" -> {case.answer.verdict} {case.answer.effects}"
                 f" withheld {case.withheld.verdict if case.withheld else '-'}"
             )
-    if arguments.out is not None:
-        arguments.out.write_text(json.dumps(trial.to_json(), indent=1), encoding="utf-8")
+    return ended(wanted.json, trial.to_json(), wrong=False)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -9,12 +9,11 @@ by more than 30 MB.
 
 from __future__ import annotations
 
-import argparse
+import asyncio
 import json
-import os
 import re
 import resource
-import selectors
+import select
 import signal
 import socket
 import subprocess
@@ -22,11 +21,12 @@ import sys
 import tempfile
 import time
 import urllib.request
-from collections import Counter, deque
+from collections import Counter
 from contextlib import ExitStack, suppress
-from pathlib import Path
 from typing import Any
 from urllib.error import HTTPError
+
+from campaign import ended, options, resident_mb
 
 MOST_ANSWER_S, MOST_GROWN_MB = 2.0, 30.0
 _GET = "GET {} HTTP/1.1\r\nhost: localhost\r\n\r\n"
@@ -37,66 +37,48 @@ _UPGRADE = (
 _UPLOAD = (
     "POST /api/check HTTP/1.1\r\nhost: localhost\r\nauthorization: Bearer no\r\ncontent-length: 60000\r\n\r\n"
 )
-# What each kind says at once, and the piece that it says or reads about once a second from then on.
-KINDS: dict[str, tuple[str, str]] = {
-    "idle": ("", ""),
-    "slow sender": (_UPLOAD, "x"),
-    "pipelined, never read": (_GET.format("/web/app.js") * 300, ""),
-    "slow reader": (_GET.format("/openapi.json") * 100, "read"),
-    "half-open websocket": (_UPGRADE, ""),
+_ALL = 4096
+# What each kind says at once, what about once a second from then on, and how much it reads in one go.
+KINDS: dict[str, tuple[str, str, int]] = {
+    "idle": ("", "", _ALL),
+    "slow sender": (_UPLOAD, "x", _ALL),
+    "pipelined, never read": (_GET.format("/web/app.js") * 300, "", 0),
+    "slow reader": (_GET.format("/openapi.json") * 100, "", 1),
+    "half-open websocket": (_UPGRADE, "", _ALL),
 }
-_OPENED_AGAIN_A_TURN = 50
-_PIECE = 1 << 10  # it is time for the next piece
+_OPENED_A_SECOND = 2500.0
 
 
-def besiege(address: tuple[str, int], count: int, seconds: float) -> Counter[str]:
+async def besiege(address: tuple[str, int], count: int, seconds: float) -> Counter[str]:
     """Hold so many connections open for so long; return how many of each kind were opened."""
     opened: Counter[str] = Counter()
-    missing = deque(kind for number in range(count) for kind in [list(KINDS)[number % len(KINDS)]])
-    ends = time.monotonic() + seconds
-    next_second = 0.0
-    with selectors.DefaultSelector() as gone:
-        while (now := time.monotonic()) < ends:
-            for _ in range(min(len(missing), _OPENED_AGAIN_A_TURN)):
-                kind = missing.popleft()
-                client = socket.socket()
-                client.setblocking(False)
-                client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-                client.connect_ex(address)
-                gone.register(client, selectors.EVENT_WRITE, kind)
-                opened[kind] += 1
-            turn = gone.select(0.02)
-            if now > next_second:
-                next_second = now + 1.0
-                turn += [(key, _PIECE) for key in gone.get_map().values()]
-            for key, event in turn:
-                if key.fd in gone.get_map() and _is_over(gone, key, event):
-                    gone.unregister(key.fileobj)
-                    key.fileobj.close()  # type: ignore[union-attr]
-                    missing.append(key.data)
+    held = [_hold(list(KINDS)[k % len(KINDS)], address, k / _OPENED_A_SECOND, opened) for k in range(count)]
+    with suppress(TimeoutError):
+        await asyncio.wait_for(asyncio.gather(*held), seconds)
     return opened
 
 
-def _is_over(gone: selectors.BaseSelector, key: selectors.SelectorKey, event: int) -> bool:
-    """Say or read what is next on one connection; tell whether it was cut off."""
-    client, (at_once, piece) = key.fileobj, KINDS[key.data]
-    assert isinstance(client, socket.socket)
-    try:
-        if event & selectors.EVENT_WRITE:
+async def _hold(kind: str, address: tuple[str, int], after_s: float, opened: Counter[str]) -> None:
+    """Open a connection of a kind, and again as soon as it is cut off."""
+    (at_once, piece, reads), loop = KINDS[kind], asyncio.get_running_loop()
+    await asyncio.sleep(after_s)
+    while True:
+        with socket.socket() as client, suppress(OSError):
+            client.setblocking(False)
+            client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _ALL)
+            opened[kind] += 1
+            await loop.sock_connect(client, address)
             client.send(at_once.encode())
-            # Who does not read is told that it was cut off all the same.
-            gone.modify(client, 0 if "read" in key.data else selectors.EVENT_READ, key.data)
-        elif event == _PIECE:
-            if piece == "read":
-                return not client.recv(1)
-            client.send(piece.encode())
-        else:
-            return not event or not client.recv(4096)
-    except BlockingIOError:
-        pass
-    except OSError:
-        return True
-    return False
+            cut_off = select.poll()  # who does not read is told it all the same
+            cut_off.register(client, 0)
+            while not cut_off.poll(0):
+                if reads < _ALL:
+                    await asyncio.sleep(1.0)
+                with suppress(TimeoutError):
+                    if reads and not await asyncio.wait_for(loop.sock_recv(client, reads), 1.0):
+                        break
+                client.send(piece.encode())
+        await asyncio.sleep(0.02)
 
 
 def campaign(connections: int, seconds: float) -> dict[str, Any]:
@@ -115,7 +97,7 @@ def campaign(connections: int, seconds: float) -> dict[str, Any]:
             time.sleep(0.1)
         for path in ("", "web/app.js", "healthz"):
             _ask(url + path)
-        before_mb = _memory_mb(service.pid)
+        before_mb = resident_mb(service.pid)
         port = url.rstrip("/").rpartition(":")[2]
         words = [sys.executable, __file__, "--besiege", port, "--connections", str(connections)]
         crowd = stack.enter_context(_process([*words, "--seconds", str(seconds)]))
@@ -137,7 +119,7 @@ def campaign(connections: int, seconds: float) -> dict[str, Any]:
                 asked[name] += 1
                 if status not in ((200,) if body is None else (200, 202, 409)):
                     failed.append(f"{name}: {status}")
-            most_mb = max(most_mb, _memory_mb(service.pid))
+            most_mb = max(most_mb, resident_mb(service.pid))
             time.sleep(0.05)
         assert crowd.stdout is not None
         opened = json.loads(crowd.stdout.read())
@@ -171,33 +153,23 @@ def _ask(url: str, body: bytes | None = None, token: str = "") -> tuple[int | st
         return f"{type(error).__name__}: {error}", b""
 
 
-def _memory_mb(pid: int) -> float:
-    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
 def main() -> int:
     """Run the campaign and judge it."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--connections", type=int, default=2000)
-    parser.add_argument("--seconds", type=float, default=30.0)
-    parser.add_argument("--json", type=Path, help="write the figures there")
-    parser.add_argument("--besiege", type=int, help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.besiege:
+    wanted = options(__doc__, connections=2000, seconds=30.0, besiege=(0, "a port: be the besiegers"))
+    if wanted.besiege:
         most = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
         with suppress(ValueError, OSError):
             resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
-        print(json.dumps(besiege(("127.0.0.1", options.besiege), options.connections, options.seconds)))
+        print(
+            json.dumps(
+                asyncio.run(besiege(("127.0.0.1", wanted.besiege), wanted.connections, wanted.seconds))
+            )
+        )
         return 0
-    figures = campaign(options.connections, options.seconds)
+    figures = campaign(wanted.connections, wanted.seconds)
     print(json.dumps(figures, indent=1))
-    if options.json:
-        options.json.write_text(json.dumps(figures, indent=1) + "\n")
-    too_slow = max(figures["slowest_s"].values()) > MOST_ANSWER_S
-    return int(
-        bool(too_slow or figures["failed"] or figures["exit_code"] or figures["grown_mb"] > MOST_GROWN_MB)
-    )
+    bad = max(figures["slowest_s"].values()) > MOST_ANSWER_S or figures["grown_mb"] > MOST_GROWN_MB
+    return ended(wanted.json, figures, bad or figures["failed"] or figures["exit_code"])
 
 
 if __name__ == "__main__":

@@ -8,17 +8,15 @@ import math
 import os
 import socket
 import struct
-import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from campaign import borrow
 
-PROJECT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(PROJECT), str(PROJECT / "tests" / "logs")]
-
+borrow("logs")
 from dataflash_builder import ATT, GPS, IMU, MAG, MSG, PARM, Log  # noqa: E402
 from recorded_frames import T0_US, Recording, attitude, dialect, frame, heartbeat, parameter  # noqa: E402
 from ulog_builder import ULogFile  # noqa: E402

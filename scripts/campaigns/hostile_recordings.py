@@ -10,7 +10,6 @@ runs in a process of its own under a budget. Exit code 1 where one did not hold.
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import itertools
 import json
@@ -22,17 +21,14 @@ import tempfile
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-PROJECT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(PROJECT), str(PROJECT / "scripts" / "campaigns")]
-
-from hostile_files import Flight, inputs, tlog  # noqa: E402
+from campaign import Several, ended, folder, options
+from hostile_files import Flight, inputs, tlog
 
 # A command that reads a hostile recording, of three gigabytes or of none: processor time, and memory in all.
 HOSTILE_S, HOSTILE_MB = 10.0, 300.0
@@ -163,7 +159,7 @@ def load_all() -> None:
     mavcompass.logs.reading.known_formats()
 
 
-def campaign(share: float, only: str, folder: Path, chosen: Callable[[str], bool]) -> list[Outcome]:
+def campaign(share: float, only: str, folder: Path, chosen: Collection[str] | None) -> list[Outcome]:
     """Try a share of the inputs with the commands that are chosen."""
     load_all()
     good = folder / "good.tlog"
@@ -176,7 +172,7 @@ def campaign(share: float, only: str, folder: Path, chosen: Callable[[str], bool
         path = folder / f"{number}{one.suffix}"
         one.make(path)
         for command, words in commands(path, good, folder).items():
-            if chosen(command):
+            if not chosen or command in chosen:
                 outcome = run(words, f"{one.name} {one.suffix}", command)
                 outcomes.append(outcome)
                 if outcome.wrong:
@@ -188,30 +184,24 @@ def campaign(share: float, only: str, folder: Path, chosen: Callable[[str], bool
 
 def main() -> int:
     """Run the campaign and judge it."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--share", type=float, default=1.0, help="of the inputs, drawn")
-    parser.add_argument("--only", default="", help="inputs whose name or suffix holds this")
-    parser.add_argument("--command", action="append", help="only this one; may be repeated")
-    parser.add_argument("--json", type=Path, help="write the figures there")
-    options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        chosen = options.command
-        outcomes = campaign(
-            options.share, options.only, Path(folder), lambda name: not chosen or name in chosen
-        )
-    wrong = [one for one in outcomes if one.wrong]
+    wanted = options(
+        __doc__,
+        share=(1.0, "of the inputs, drawn"),
+        only=("", "inputs whose name or suffix holds this"),
+        command=(Several(), "only this one; may be repeated"),
+    )
+    with folder() as place:
+        outcomes = campaign(wanted.share, wanted.only, place, wanted.command)
     figures = {
         "inputs": len({one.hostile for one in outcomes}),
         "runs": len(outcomes),
         "codes": dict(Counter(one.code for one in outcomes)),
-        "wrong": len(wrong),
+        "wrong": sum(one.wrong for one in outcomes),
         "slowest": max(((one.seconds, one.hostile, one.command) for one in outcomes), default=None),
         "largest": max(((one.megabytes, one.hostile, one.command) for one in outcomes), default=None),
     }
     print(json.dumps(figures, indent=1))
-    if options.json:
-        options.json.write_text(json.dumps(figures | {"each": [one.__dict__ for one in outcomes]}) + "\n")
-    return int(bool(wrong))
+    return ended(wanted.json, figures | {"each": outcomes}, figures["wrong"])
 
 
 if __name__ == "__main__":

@@ -11,28 +11,24 @@ are left out.
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import random
-import tempfile
+import sys
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+
+from campaign import Several, ended, folder, options, tried
+from fault_cells.scene import Scene
+from fault_cells.works import AT_ONCE
 
 from mavcompass.errors import MavCompassError, WriteFailed
-from mavcompass.messages import CommandLong, Message, SetAttitudeTarget, SetPositionTargetLocalNed
-from mavcompass.procedure.settings import CalibrateSettings
-from mavcompass.simulation.autopilot import Outgoing
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.calibrating import calibrate_on
-from mavcompass.vehicle.links.faults import Faults, FaultyLink
-from mavcompass.vehicle.links.simulated import SimulatedLink
 from mavcompass.vehicle.stopping import StopRequest
 
 EVENTS = ("stick", "mode", "disarm", "battery", "signal", "silence", "broken", "two-seconds")
-LINK_EVENTS = {"silence": math.inf, "broken": math.inf, "two-seconds": 2.0}
 OTHER_MODE = {
     "rover": "HOLD",
     "boat": "HOLD",
@@ -41,51 +37,10 @@ OTHER_MODE = {
     "sub": "POSHOLD",
     "px4-copter": "POSCTL",
 }
-TURNING_RADPS = math.radians(5.0)
-LONGEST_S = 40.0
+LONGEST_S, LOOKS_ON_S = 40.0, 5.0
 # What happens this shortly before the end of a run may go unnoticed: nothing moves any more.
 TOO_LATE_S = 1.0
-
-
-class Witness:
-    """Stand before a vehicle: make the event happen, and see what the vehicle hears and does after it."""
-
-    def __init__(self, vehicle: SimulatedAutopilot, event_s: float, happen: Callable[[], None]) -> None:
-        self.vehicle = vehicle
-        self.event_s = event_s
-        self._happen = happen
-        self.happened = False
-        self.last_turning_s = self.last_command_s = -math.inf
-
-    @property
-    def time_s(self) -> float:
-        return self.vehicle.time_s
-
-    def receive(self, message: Message, system: int, component: int, port: int = 0) -> None:
-        if moves(message):
-            self.last_command_s = self.time_s
-        self.vehicle.receive(message, system, component, port)
-
-    def advance(self, until_s: float) -> Sequence[Outgoing]:
-        if not self.happened and until_s >= self.event_s:
-            self.happened = True
-            self._happen()
-        said = self.vehicle.advance(until_s)
-        if abs(self.vehicle.body.yaw_rate_radps) > TURNING_RADPS:
-            self.last_turning_s = self.time_s
-        return said
-
-
-def moves(message: Message) -> bool:
-    """Tell whether a message asks for a turn; a command of zero rate does not."""
-    match message:
-        case CommandLong(command=115):
-            return True
-        case SetPositionTargetLocalNed(yaw_rate=rate, type_mask=mask):
-            return not (mask & 0x400) or rate != 0.0
-        case SetAttitudeTarget(body_yaw_rate=rate, type_mask=mask):
-            return not (mask & 0x80) or rate != 0.0
-    return False
+State = tuple[dict[str, float], int, dict[int, int]]  # parameters, mode, rates
 
 
 @dataclass
@@ -103,60 +58,58 @@ class Outcome:
     wrong: list[str] = field(default_factory=list)
 
 
-def state_of(vehicle: SimulatedAutopilot) -> tuple[dict[str, float], int, dict[int, int]]:
+def state_of(vehicle: SimulatedAutopilot) -> State:
     """Read parameters, mode and rates straight off the vehicle."""
     streams = vehicle.firmware.telemetry.streams(0)
     rates = {number: streams.interval_us(number) for number in vehicle.firmware.telemetry.available}
     return dict(vehicle.firmware.store.values), vehicle.firmware.reports.heartbeat().custom_mode, rates
 
 
-def interrupt(kind: str, event: str, seed: int, duration_s: float) -> Outcome | None:
-    """Run one calibration and interrupt it; None where it was over before."""
-    vehicle = SimulatedAutopilot(kind, seed=seed)
-    at_s = random.Random(f"{kind} {event} {seed}").uniform(0.5, duration_s)
-    stop = StopRequest()
+def happening(event: str, kind: str, scene: Scene, stop: StopRequest) -> Callable[[], None]:
+    """Return what happens."""
+    vehicle = scene.vehicle
     happenings: dict[str, Callable[[], None]] = {
         "stick": lambda: vehicle.pilot_moves_stick(4 if kind in ("copter", "sub") else 1),
         "mode": lambda: vehicle.pilot_switches_mode(OTHER_MODE[kind]),
         "disarm": vehicle.disarm,
         "battery": vehicle.battery_failsafe,
         "signal": lambda: setattr(stop, "reason", "Stopped by the system (SIGTERM)."),
+        "silence": lambda: setattr(scene, "silent_until_s", math.inf),
+        "broken": lambda: setattr(scene, "closed", True),
+        "two-seconds": lambda: setattr(scene, "silent_until_s", vehicle.time_s + 2.0),
     }
-    witness = Witness(vehicle, at_s, happenings.get(event, lambda: None))
-    before = state_of(vehicle)
-    cut = Faults()
-    if event in LINK_EVENTS:
-        cut = Faults(cut_at_s=at_s, cut_is_final=event == "broken", restored_at_s=at_s + LINK_EVENTS[event])
-    outcome = Outcome(kind, event, seed, round(at_s, 2))
-    with tempfile.TemporaryDirectory() as folder, FaultyLink(SimulatedLink(witness), cut, seed) as link:
+    return happenings[event]
+
+
+def interrupt(kind: str, event: str, seed: int, duration_s: float) -> Outcome | None:
+    """Run one calibration and interrupt it; None where it was over before."""
+    at_s = random.Random(f"{kind} {event} {seed}").uniform(0.5, duration_s)
+    with folder() as place:
+        scene, stop = Scene(SimulatedAutopilot(kind, seed=seed), place), StopRequest()
+        scene.agenda.append((at_s, happening(event, kind, scene, stop)))
+        before = state_of(scene.vehicle)
         error: MavCompassError | None = None
         try:
-            calibrate_on(
-                link,
-                f"sim:{kind}",
-                CalibrateSettings(motion="vehicle", writing="yes"),
-                stop=stop,
-                undo_directory=Path(folder),
-            )
+            with scene.link() as link:
+                calibrate_on(link, f"sim:{kind}", AT_ONCE, stop=stop, undo_directory=scene.undo_folder)
         except MavCompassError as caught:
             error = caught
-        if not witness.happened or (error is None and witness.time_s - at_s < TOO_LATE_S):
+        if scene.agenda or (error is None and scene.vehicle.time_s - at_s < TOO_LATE_S):
             return None
-        witness.advance(witness.time_s + 0.01)
-        end_s = witness.time_s + 5.0
-        while witness.time_s < end_s:
-            witness.advance(witness.time_s + 0.01)
-    outcome.told, outcome.exit_code = (str(error), error.exit_code) if error else ("done", 0)
-    outcome.turning_s = round(max(witness.last_turning_s - at_s, 0.0), 2)
-    outcome.command_s = round(max(witness.last_command_s - at_s, 0.0), 2)
-    judge(outcome, before, state_of(vehicle), error)
+        scene.look_on(LOOKS_ON_S)
+    told, code = (str(error), error.exit_code) if error else ("done", 0)
+    turning_s, command_s = (
+        round(max(last_s - at_s, 0.0), 2) for last_s in (scene.turning_s, scene.commanded_s)
+    )
+    outcome = Outcome(kind, event, seed, round(at_s, 2), told, code, turning_s, command_s)
+    judge(outcome, before, state_of(scene.vehicle), error)
     return outcome
 
 
 def judge(
     outcome: Outcome,
-    before: tuple[dict[str, float], int, dict[int, int]],
-    after: tuple[dict[str, float], int, dict[int, int]],
+    before: State,
+    after: State,
     error: MavCompassError | None,
 ) -> None:
     """Say what was wrong with a run."""
@@ -188,27 +141,21 @@ def judge(
         wrong.append(f"exit code {outcome.exit_code}")
 
 
-def main() -> None:
+def main() -> int:
     """Run the campaign and print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    wanted = options(
+        __doc__, runs=50, vehicle=Several([*OTHER_MODE]), event=Several(EVENTS), first_seed=0, workers=1
     )
-    parser.add_argument("--runs", type=int, default=50)
-    parser.add_argument("--vehicle", action="append", choices=[*OTHER_MODE])
-    parser.add_argument("--event", action="append", choices=EVENTS)
-    parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
     outcomes: list[Outcome] = []
     print("vehicle         event         runs  right  turning max s  command max s  exit codes")
-    for kind in arguments.vehicle or ("rover", "copter"):
-        for event in arguments.event or EVENTS:
-            seeds = range(arguments.first_seed, arguments.first_seed + arguments.runs)
-            found = [o for seed in seeds if (o := interrupt(kind, event, seed, LONGEST_S)) is not None]
+    for kind in wanted.vehicle or ("rover", "copter"):
+        for event in wanted.event or EVENTS:
+            seeds = range(wanted.first_seed, wanted.first_seed + wanted.runs)
+            one = partial(interrupt, kind, event, duration_s=LONGEST_S)
+            found = [o for o in tried(one, seeds, workers=wanted.workers) if o is not None]
             outcomes += found
             row(kind, event, found)
-    if arguments.json:
-        arguments.json.write_text(json.dumps([asdict(outcome) for outcome in outcomes], indent=1))
+    return ended(wanted.json, outcomes, any(outcome.wrong for outcome in outcomes))
 
 
 def row(kind: str, event: str, found: list[Outcome]) -> None:
@@ -226,4 +173,4 @@ def row(kind: str, event: str, found: list[Outcome]) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -11,20 +11,17 @@ effect fares. The same evidence makes the same file.
 
 from __future__ import annotations
 
-import argparse
 import collections
 import json
 import math
 import sys
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from campaign import ended, options, share, tried
 
-from mavcompass.chance import wilson
 from mavcompass.frames import FloatArray
 from mavcompass.gap.answer.evidence import figures, statistics
 from mavcompass.gap.diagnose import examine, withheld_effects
@@ -87,8 +84,7 @@ KEPT = 10
 Line = dict[str, Any]
 
 
-@dataclass(frozen=True)
-class Wanted:
+class Wanted(NamedTuple):
     """Name a case to be made."""
 
     maker: str
@@ -98,17 +94,19 @@ class Wanted:
     index: int
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--evidence", type=Path, required=True, help="made where it lacks cases")
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--write", action="store_true", help="write params/gap/criterion.json")
-    parser.add_argument("--every", type=int, default=1, help="a try, with every so many of the cases")
-    parser.add_argument("--picture", type=Path, help="write the reliability diagram")
-    arguments = parser.parse_args()
-    if arguments.write and arguments.every != 1:
-        parser.error("the tables are made of all cases: --write goes without --every")
-    lines = collected(arguments.evidence, arguments.workers, arguments.every)
+def main() -> int:
+    """Make what is lacking, learn, and tell how reliable it is."""
+    wanted = options(
+        __doc__,
+        evidence=(Path, "made where it lacks cases"),
+        workers=2,
+        write=(False, "write params/gap/criterion.json"),
+        every=(1, "a try, with every so many of the cases"),
+        picture=(Path, "write the reliability diagram"),
+    )
+    if wanted.evidence is None or (wanted.write and wanted.every != 1):
+        sys.exit("Give --evidence FILE; the tables are made of all cases: --write goes without --every.")
+    lines = collected(wanted.evidence, wanted.workers, wanted.every)
     learnt = [line for line in lines if line["maker"] != JUDGES]
     judged = [line for line in lines if line["maker"] == JUDGES]
     penalties(learnt)
@@ -120,37 +118,24 @@ def main() -> None:
         ),
     ]
     false_alarms(lines, document)
-    if arguments.picture:
-        arguments.picture.write_text(drawn(bins), encoding="utf-8")
-    if arguments.write:
-        path = params_path("gap/criterion.json")
-        path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    if wanted.picture:
+        wanted.picture.write_text(drawn(bins), encoding="utf-8")
+    if wanted.write:
+        ended(params_path("gap/criterion.json"), document, wrong=False)
+    return ended(wanted.json, document, wrong=False)
 
 
 def collected(path: Path, workers: int, every: int = 1) -> list[Line]:
     """Read the evidence, and make what it lacks."""
     known: list[Line] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else []
     have = {json.dumps(line["case"]) for line in known}
-    missing = [w for w in wanted(every) if json.dumps(_case_of(w)) not in have]
-    with ProcessPoolExecutor(workers) as pool:
-        for done, line in enumerate(pool.map(examined, missing, chunksize=4)):
-            known += [line] if line is not None else []
-            if done % 20 == 0:
-                print(f"{done} of {len(missing)}", file=sys.stderr, flush=True)
-                path.write_text(json.dumps(known), encoding="utf-8")
-    if missing:
-        path.write_text(json.dumps(known), encoding="utf-8")
+    lot = (Wanted(*kind, index) for *kind, count in LOT for index in range(0, count, every))
+    missing = [one for one in lot if json.dumps(one) not in have]
+    for done, line in enumerate(tried(examined, missing, workers=workers, every=20), 1):
+        known += [line] if line is not None else []
+        if done % 20 == 0 or done == len(missing):
+            path.write_text(json.dumps(known), encoding="utf-8")
     return known
-
-
-def wanted(every: int = 1) -> Iterator[Wanted]:
-    for maker, tier, with_baseline, seed, count in LOT:
-        for index in range(0, count, every):
-            yield Wanted(maker, tier, with_baseline, seed, index)
-
-
-def _case_of(of: Wanted) -> list[object]:
-    return [of.maker, of.tier, of.with_baseline, of.seed, of.index]
 
 
 def examined(of: Wanted) -> Line | None:
@@ -180,7 +165,7 @@ def examined(of: Wanted) -> Line | None:
     known = statistics(evidence, *figures(evidence, evidence.identified.fit, with_scatter=True))
     nothing = Answer("unknown", (), (), 1.0, 1.0, 0.0, (0.0, 0.0), 1.0)
     return {
-        "case": _case_of(of), "maker": of.maker, "tier": of.tier, "truth": list(label.ids),
+        "case": list(of), "maker": of.maker, "tier": of.tier, "truth": list(label.ids),
         "beside": sorted(evidence.beside_ids), "kind": known.kind, "gain": known.gain, "found": known.found,
         "values": known.values, "rows": evidence.identified.first.count,
         "overdispersion": posterior.overdispersion,
@@ -345,8 +330,7 @@ def report(title: str, lines: Sequence[Line], said: FloatArray) -> list[tuple[st
         rows = (stated >= low) & (stated < high)
         if rows.any():
             hits, of = int(true[rows].sum()), int(rows.sum())
-            ends = wilson(hits, of)
-            print(f"  stated {stated[rows].mean():.2f}: true {hits}/{of} ({ends[0]:.2f} .. {ends[1]:.2f})")
+            print(f"  stated {stated[rows].mean():.2f}: true {share(hits, of)}")
             bins.append((title, float(stated[rows].mean()), hits / of, of))
     per: dict[str, list[bool]] = collections.defaultdict(list)
     for line in lines:
@@ -365,10 +349,7 @@ def false_alarms(lines: Sequence[Line], document: Line) -> None:
         alarmed = [
             x for x in own if _p(x["gain"], table["gains"], table) <= LEVELS["gain"] or _left(x, table)
         ]
-        low, high = wilson(len(alarmed), len(own))
-        print(
-            f"healthy, {kind}: {len(alarmed)} of {len(own)} alarmed ({100 * low:.1f} .. {100 * high:.1f} %)"
-        )
+        print(f"healthy, {kind}: {share(len(alarmed), len(own))} alarmed")
         for one in alarmed:
             print("   ", one["case"], one["sets"][0]["ids"], f"gain {one['gain']:.0f}")
 
@@ -408,4 +389,4 @@ def _rounded(values: FloatArray) -> list[float]:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -10,91 +10,78 @@ not the reader's; they are counted and shown.
 
 from __future__ import annotations
 
-import argparse
 import json
 import resource
-import signal
 import sys
-import tempfile
 import time
 import traceback
 from collections import Counter
-from pathlib import Path
-from typing import Any
+from functools import cache
 
 import numpy as np
+from campaign import borrow, ended, folder, limit, options, tried
 
-PROJECT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(PROJECT), str(PROJECT / "tests" / "logs")]
-
+borrow("logs")
 from mutations import checked_rows, mutate, originals, read_or_refuse  # noqa: E402
 
-LONGEST_S = 20
+LONGEST_S, MOST_MEMORY_FACTOR = 20.0, 2.0
+SUFFIXES = (".bin", ".csv", ".log", ".tlog", ".ulg")
+Outcome = tuple[str, int, float, str]  # how it ended, messages never sent, seconds, the defect
+Contents = tuple[dict[str, bytes], set[tuple[str, bytes]]]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--files", type=int, default=20_000)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--json", type=Path, help="write the figures there")
-    options = parser.parse_args()
-    signal.signal(signal.SIGALRM, _hangs)
-    with tempfile.TemporaryDirectory() as folder:
-        figures = campaign(Path(folder), options.files, options.seed)
-    print(json.dumps(figures, indent=1))
-    if options.json:
-        options.json.write_text(json.dumps(figures, indent=1) + "\n")
-    if figures["defects"] or figures["memory_factor"] > 2.0:
-        sys.exit(1)
+@cache
+def recordings() -> Contents:
+    """Make the recordings, and read each; return them and what the telemetry log's messages are."""
+    with folder() as place:
+        contents = originals(place)
+        for suffix in contents:
+            read_or_refuse(place / f"original{suffix}")
+        return contents, checked_rows(place / "original.tlog")
 
 
-def campaign(folder: Path, files: int, seed: int) -> dict[str, Any]:
-    """Read so many damaged files; return the figures."""
-    contents = originals(folder / "originals")
-    sent = checked_rows(folder / "originals" / "original.tlog")
-    for suffix in contents:
-        read_or_refuse(folder / "originals" / f"original{suffix}")
-    memory_before = _peak_mb()
-    outcomes: Counter[str] = Counter()
-    defects: list[str] = []
-    slowest, never_sent = (0.0, ""), 0
-    started = time.monotonic()
-    for number in range(files):
-        suffix = list(contents)[number % len(contents)]
-        rng = np.random.default_rng([seed, number])
-        path = folder / f"damaged{suffix}"
-        path.write_bytes(mutate(contents[suffix], rng))
-        signal.alarm(LONGEST_S)
-        begun = time.process_time()
+def read(case: tuple[int, int]) -> Outcome:
+    """Damage the recording of a number by seed and number, and read it."""
+    (seed, number), (contents, sent) = case, recordings()
+    suffix, begun, never_sent = SUFFIXES[number % len(SUFFIXES)], time.process_time(), 0
+    with folder() as place:
+        path = place / f"damaged{suffix}"
+        path.write_bytes(mutate(contents[suffix], np.random.default_rng([seed, number])))
         try:
-            outcomes[f"{suffix} {'refused' if read_or_refuse(path) is None else 'read'}"] += 1
-            if suffix == ".tlog":
-                never_sent += len(checked_rows(path) - sent)
+            with limit(LONGEST_S, TimeoutError(f"one small file took more than {LONGEST_S:g} s")):
+                ending = f"{suffix} {'refused' if read_or_refuse(path) is None else 'read'}"
+                if suffix == ".tlog":
+                    never_sent = len(checked_rows(path) - sent)
         except BaseException:
-            defects.append(f"{suffix} {number}: {traceback.format_exc(limit=-2)}")
-            if len(defects) >= 20:
-                break
-        finally:
-            signal.alarm(0)
-        slowest = max(slowest, (round(time.process_time() - begun, 3), f"{suffix} {number}"))
-    return {
-        "files": sum(outcomes.values()) + len(defects),
-        "outcomes": dict(sorted(outcomes.items())),
-        "defects": defects,
-        "messages_never_sent": never_sent,
-        "slowest_s": slowest,
-        "memory_factor": round(_peak_mb() / memory_before, 3),
+            return f"{suffix} broke", 0, time.process_time() - begun, traceback.format_exc(limit=-2)
+    return ending, never_sent, time.process_time() - begun, ""
+
+
+def main() -> int:
+    """Read so many damaged files; print the figures."""
+    wanted = options(__doc__, files=20_000, seed=1)
+    assert tuple(recordings()[0]) == SUFFIXES
+    before_mb, started = _peak_mb(), time.monotonic()
+    cases = [(wanted.seed, number) for number in range(wanted.files)]
+    outcomes = [*tried(read, cases, lambda outcome: [outcome[3]] if outcome[3] else [], every=2000)]
+    figures = {
+        "files": len(outcomes),
+        "outcomes": dict(sorted(Counter(ending for ending, *_ in outcomes).items())),
+        "messages_never_sent": sum(never_sent for _, never_sent, *_ in outcomes),
+        "slowest_s": max(
+            (round(seconds, 3), *case) for (_, _, seconds, _), case in zip(outcomes, cases, strict=True)
+        ),
+        "memory_factor": round(_peak_mb() / before_mb, 3),
         "seconds": round(time.monotonic() - started, 1),
     }
+    print(json.dumps(figures, indent=1))
+    broke = any(defect for *_, defect in outcomes)
+    return ended(wanted.json, figures, broke or figures["memory_factor"] > MOST_MEMORY_FACTOR)
 
 
 def _peak_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def _hangs(*_: object) -> None:
-    raise TimeoutError(f"reading one small file took more than {LONGEST_S} s")
-
-
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -16,16 +16,16 @@ ground and start. Judged by the simulator's truth, whose field is the world mode
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import json
 import math
-import tempfile
+import sys
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from campaign import ended, folder, options, share
 
 from mavcompass.blas import single_thread
 from mavcompass.correction import FieldCorrection
@@ -49,6 +49,7 @@ from mavcompass.vehicle.links.simulated import SimulatedLink
 KINDS = ("rover", "copter", "boat", "px4-copter")
 EFFECTS = ((), ("motor_current:x=1.5,y=-0.8",), ("noise_excess:sigma_mgauss=12",))
 _NOTHING_WRITTEN = (PoorCalibration.exit_code, Refused.exit_code)
+PLACES = ("level", "leaning")
 Reached = tuple[float, float]  # level and tilted, rms in degrees
 
 
@@ -69,8 +70,8 @@ def told(tracks: Iterable[Track], draws: int) -> tuple[str, Expected, Expected]:
 def recorded(folders: Sequence[Path]) -> Iterator[tuple[str, Iterable[Track], list[Reached]]]:
     """Yield each vehicle's name, its flights, and what its calibrations reached."""
     groups: dict[str, list[tuple[Path, Reached]]] = defaultdict(list)
-    for folder in sorted(folders):
-        truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    for place in sorted(folders):
+        truth = json.loads((place / "truth.json").read_text(encoding="utf-8"))
         judged = truth.get("heading_rms_deg") or {}
         result = truth.get("live_result") or {}
         level, tilted = (
@@ -79,12 +80,12 @@ def recorded(folders: Sequence[Path]) -> Iterator[tuple[str, Iterable[Track], li
         )
         if level is None or tilted is None or truth.get("exit_code") in _NOTHING_WRITTEN:
             continue
-        vehicle = folder.name.partition("-")[2] or folder.name
+        vehicle = place.name.partition("-")[2] or place.name
         for option in ("-reboot", "-disarmed"):
             vehicle = vehicle.removesuffix(option)
-        groups[vehicle].append((folder, (level, tilted)))
+        groups[vehicle].append((place, (level, tilted)))
     for vehicle, runs in sorted(groups.items()):
-        logs = [folder / name for folder, _ in runs for name in ("flight.BIN", "flight.ulg")]
+        logs = [place / name for place, _ in runs for name in ("flight.BIN", "flight.ulg")]
         tracks = (read_track(log) for log in reversed(logs) if log.exists())
         yield vehicle, tracks, [reached for _, reached in runs]
 
@@ -110,9 +111,9 @@ def calibrated(
     horizontal_mgauss = SimulatedAutopilot(kind, seed=iron).world.horizontal_mgauss
     compasses = draw_compasses(iron, horizontal_mgauss, "old")
     vehicle = SimulatedAutopilot(kind, seed=seed, compasses=compasses, effects=effects)
-    with tempfile.TemporaryDirectory() as folder:
+    with folder() as undo:
         settings = CalibrateSettings(writing="yes")
-        report = calibrate_on(SimulatedLink(vehicle), f"sim:{kind}", settings, undo_directory=Path(folder))
+        report = calibrate_on(SimulatedLink(vehicle), f"sim:{kind}", settings, undo_directory=undo)
     return vehicle, report
 
 
@@ -127,37 +128,34 @@ def judged(vehicle: SimulatedAutopilot, report: CalibrationReport) -> Reached:
     return heading_error_rms_deg(vehicle, 1, correction), rms_deg(np.array(errors))
 
 
-def main() -> None:
+def main() -> int:
     """Print the table: told, reached, and how often the one covers the other."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    wanted = options(
+        __doc__,
+        recordings=list,
+        embedded=(0, "vehicles of each kind"),
+        again=(3, "whole procedures on each of them"),
+        draws=1000,
     )
-    parser.add_argument("recordings", nargs="*", type=Path)
-    parser.add_argument("--embedded", type=int, default=0, metavar="N", help="vehicles of each kind")
-    parser.add_argument("--again", type=int, default=3, help="whole procedures on each of them")
-    parser.add_argument("--draws", type=int, default=1000)
-    arguments = parser.parse_args()
-    groups = [recorded(arguments.recordings), embedded(arguments.embedded, arguments.again)]
-    covered: list[int] = [0, 0]
-    ratios: tuple[list[float], list[float]] = ([], [])
-    runs, vehicles = 0, 0
+    groups = [recorded(wanted.recordings), embedded(wanted.embedded, wanted.again)]
+    table = []
     for vehicle, tracks, reached in itertools.chain(*groups):
-        verdict, *expected = told(tracks, arguments.draws)
-        vehicles, runs = vehicles + 1, runs + len(reached)
+        verdict, *expected = told(tracks, wanted.draws)
         line = f"{vehicle:28} {verdict:24}"
-        for place, one in enumerate(expected):
-            values = [run[place] for run in reached]
+        for where, one, values in zip(PLACES, expected, zip(*reached, strict=True), strict=True):
             inside = sum(value <= one.at_most95_deg for value in values)
-            covered[place] += inside
-            ratios[place].extend(value / one.rms_deg for value in values)
+            row = {"vehicle": vehicle, "where": where, "told": one, "reached": values, "inside": inside}
+            table.append(row)
             line += f" | {one.rms_deg:.2f} (below {one.at_most95_deg:.2f}), reached "
             line += f"{min(values):.2f} to {max(values):.2f}: {inside}/{len(values)}"
         print(line, flush=True)
-    print(f"{vehicles} vehicles, {runs} calibrations")
-    for place, where in enumerate(("level", "leaning")):
-        whole = rms(np.array(ratios[place]))
-        print(f"  {where}: {covered[place]} below the bound; rms of reached over told: {whole:.2f}")
+    for where in PLACES:
+        rows = [row for row in table if row["where"] == where]
+        ratios = [value / row["told"].rms_deg for row in rows for value in row["reached"]]
+        inside = share(sum(row["inside"] for row in rows), len(ratios))
+        print(f"  {where}: {inside} below the bound; rms of reached over told: {rms(np.array(ratios)):.2f}")
+    return ended(wanted.json, table, wrong=False)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

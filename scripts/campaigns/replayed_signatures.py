@@ -1,4 +1,3 @@
-#!/usr/bin/env python3
 """Play signed frames again: late, in another order, on other links, after restarts; none is believed.
 
     .venv/bin/python scripts/campaigns/replayed_signatures.py --frames 10000
@@ -10,13 +9,13 @@ link id, while the program is stopped, killed and started again, and its clock s
 
 from __future__ import annotations
 
-import argparse
 import random
 import sys
-import tempfile
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
+
+from campaign import ended, folder, options, share
 
 from mavcompass.messages import Attitude
 from mavcompass.messages.frame import SIGNATURE_BYTES
@@ -110,21 +109,19 @@ class Siege:
         self.start()
 
 
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--frames", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args(arguments)
-    with tempfile.TemporaryDirectory() as folder:
-        siege = Siege(random.Random(options.seed), Path(folder) / "stamps.json")
-        siege.run(options.frames)
+def main(words: list[str] | None = None) -> int:
+    """Lay siege."""
+    wanted = options(__doc__, words, frames=10_000, seed=1)
+    with folder() as place:
+        siege = Siege(random.Random(wanted.seed), place / "stamps.json")
+        siege.run(wanted.frames)
     for sentence in siege.believed[:20]:
         print(sentence)
     kinds = ", ".join(f"{number} {kind}" for kind, number in sorted(siege.played.items()))
     genuine = siege.genuine[True] / sum(siege.genuine.values())
-    print(f"{len(siege.believed)} of {sum(siege.played.values())} believed ({kinds});"
-          f" of genuine ones {100.0 * genuine:.0f} %")  # fmt: skip
-    return 1 if siege.believed or genuine < 0.5 else 0
+    believed = share(len(siege.believed), sum(siege.played.values()))
+    print(f"{believed} believed ({kinds}); of genuine ones {100.0 * genuine:.0f} %")
+    return ended(wanted.json, siege.played, siege.believed or genuine < 0.5)
 
 
 if __name__ == "__main__":

@@ -20,10 +20,8 @@ given back or not: the median of the last six hours is compared with that of six
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import gc
-import json
 import random
 import resource
 import signal
@@ -35,20 +33,19 @@ from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-PROJECT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(PROJECT))
+from campaign import ended, options, resident_mb
 
-from mavcompass.errors import UsageError  # noqa: E402
-from mavcompass.messages import Incoming, MagCalReport, Message  # noqa: E402
-from mavcompass.service.config import ServiceConfig, StorageConfig, VehicleConfig  # noqa: E402
-from mavcompass.service.station import Station  # noqa: E402
-from mavcompass.service.work import clock  # noqa: E402
-from mavcompass.service.work.history import Entry, History  # noqa: E402
-from mavcompass.service.work.tasks import CalibrationRequest, Task  # noqa: E402
-from mavcompass.simulation.vehicle import SimulatedAutopilot  # noqa: E402
-from mavcompass.vehicle.link import Link  # noqa: E402
-from mavcompass.vehicle.links.simulated import SimulatedLink  # noqa: E402
-from mavcompass.vehicle.parameters.undo import load_record  # noqa: E402
+from mavcompass.errors import UsageError
+from mavcompass.messages import Incoming, MagCalReport, Message
+from mavcompass.service.config import ServiceConfig, StorageConfig, VehicleConfig
+from mavcompass.service.station import Station
+from mavcompass.service.work import clock
+from mavcompass.service.work.history import Entry, History
+from mavcompass.service.work.tasks import CalibrationRequest, Task
+from mavcompass.simulation.vehicle import SimulatedAutopilot
+from mavcompass.vehicle.link import Link
+from mavcompass.vehicle.links.simulated import SimulatedLink
+from mavcompass.vehicle.parameters.undo import load_record
 
 _READY_AFTER_REBOOT_S = 10.0
 _MOST_GROWTH_PERCENT = 2.0
@@ -271,6 +268,7 @@ class Soak:
             time.sleep(0.1)
             now_s = self.link.now()
             if now_s > _READ_EVERY_S * (len(read) + 1):
+                gc.collect()
                 read.append(resident_mb())
                 self.figures.end_mb = statistics.median(read[-lately:])
                 if not self.figures.warm_mb and now_s > warm_s:
@@ -333,43 +331,25 @@ def has_undo(entry: Entry) -> bool:
         return False
 
 
-def resident_mb() -> float:
-    """Return this process's resident memory."""
-    gc.collect()
-    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
-
-
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--hours", type=float, default=2.0)
-    parser.add_argument("--cuts", type=int, default=200)
-    parser.add_argument("--reboots", type=int, default=20)
-    parser.add_argument("--calibrations", type=int, default=12)
-    parser.add_argument(
-        "--full-disks", type=int, default=3, help="calibrations during which the disk is full"
+    """Run one soak; print its figures."""
+    wanted = options(
+        __doc__,
+        hours=2.0,
+        cuts=200,
+        reboots=20,
+        calibrations=12,
+        full_disks=(3, "calibrations during which the disk is full"),
+        clock_steps=20,
+        seed=1,
     )
-    parser.add_argument("--clock-steps", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--json", type=Path, help="write the figures there")
-    options = parser.parse_args()
-    signal.signal(
-        signal.SIGINT, signal.default_int_handler
-    )  # also where a shell has its background ignore it
-    soak = Soak(
-        options.hours,
-        options.cuts,
-        options.reboots,
-        options.calibrations,
-        options.full_disks,
-        options.clock_steps,
-        options.seed,
-    )
-    figures = asdict(soak.run())
+    # Also where a shell has its background ignore it.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    given = {name: value for name, value in vars(wanted).items() if name != "json"}
+    figures = asdict(Soak(**given).run())
     for name, value in figures.items():
         print(f"{name:22} {value:.2f}" if isinstance(value, float) else f"{name:22} {value}")
-    if options.json:
-        options.json.write_text(json.dumps(figures, indent=2) + "\n")
-    return 1 if figures["faults"] else 0
+    return ended(wanted.json, figures, figures["faults"])
 
 
 if __name__ == "__main__":

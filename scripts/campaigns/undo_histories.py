@@ -1,7 +1,6 @@
-#!/usr/bin/env python3
 """Restore in drawn histories: several vehicles, addresses and clocks, and nothing goes to the wrong vehicle.
 
-    .venv/bin/python scripts/campaigns/undo_histories.py --histories 1000
+    .venv/bin/python scripts/campaigns/undo_histories.py [--histories 1000] [--steps 8] [--seed 1]
 
 Each history draws two or three vehicles that differ in little (their unique id, their system id, a compass,
 their board), and then lets `mavcompass params write` and `restore` be called, with and without a file, on
@@ -13,106 +12,72 @@ and `restore` without a file must bring back what its last write replaced.
 
 from __future__ import annotations
 
-import argparse
 import io
 import json
 import random
 import shutil
 import sys
-import tempfile
-from collections import deque
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+from campaign import borrow, ended, folder, options, share, tried
+
 from mavcompass import vehicle as vehicle_room
 from mavcompass.cli.main import main as mavcompass
-from mavcompass.enums import MavAutopilot, MavCmd, MavResult, MavType
-from mavcompass.messages import (
-    AutopilotVersion,
-    CommandAck,
-    CommandLong,
-    Heartbeat,
-    Message,
-    ParamRequestRead,
-    ParamSet,
-    ParamValue,
-)
+from mavcompass.enums import MavCmd, MavResult
+from mavcompass.messages import AutopilotVersion, CommandAck, CommandLong, Message
 from mavcompass.vehicle.link import ONBOARD_COMPUTER
 from mavcompass.vehicle.links.autopilot import SaidMessage
 from mavcompass.vehicle.links.simulated import SimulatedLink
 from mavcompass.vehicle.parameters import undo
-from mavcompass.vehicle.parameters.rules import parameter_rules
+
+borrow("vehicle")
+from parameter_vehicle import ParameterVehicle, ardupilot_parameters  # noqa: E402
 
 ADDRESSES = ("udpin:0.0.0.0:14550", "tcp:192.168.1.7:5760")
 OFFSETS = tuple(f"COMPASS_OFS_{axis}" for axis in "XYZ")
-_REAL32 = 9
 
 
-@dataclass
-class Vehicle:
-    """Be an autopilot that has parameters and a serial number, and nothing else.
+class Vehicle(ParameterVehicle):
+    """Be an autopilot that has parameters and a serial number, and nothing else; `number` from 1.
 
     Attributes:
         own: the offsets that were ever written to it, or that it had at first.
     """
 
-    system: int
-    version: AutopilotVersion | None
-    devices: tuple[int, int]
-    number: int
-    time_s: float = 0.0
-    values: dict[str, float] = field(default_factory=dict)
-    own: set[float] = field(default_factory=set)
-    _due: deque[SaidMessage] = field(default_factory=deque)
-    _beat_s: float = 0.0
-
-    def __post_init__(self) -> None:
-        rules = parameter_rules("ardupilot")
-        general = [*rules.general, *rules.vehicle]
-        self.values = dict.fromkeys((name for name in general if "*" not in name), 0.0)
-        for compass, device in zip(("", "2", "3"), (*self.devices, 0), strict=True):
-            for stem, value in (("OFS", 1.0), ("DIA", 1.0), ("ODI", 0.0), ("MOT", 0.0)):
-                self.values |= {f"COMPASS_{stem}{compass}_{axis}": value for axis in "XYZ"}
-            for stem in rules.per_compass:
-                self.values.setdefault(f"COMPASS_{stem}{compass}", 0.0)
-            self.values[f"COMPASS_DEV_ID{compass}"] = float(device)
-            self.values[f"COMPASS_EXTERN{compass or 'AL'}"] = 0.0
-            self.values[f"COMPASS_SCALE{compass}"] = 1.0
-        self.values |= {"COMPASS_ENABLE": 1.0, "COMPASS_OFFS_MAX": 1800.0}
-        self.values |= {name: float(10 * self.number + k) for k, name in enumerate(OFFSETS)}
-        self.own |= {self.values[name] for name in OFFSETS}
+    def __init__(
+        self, system: int, version: AutopilotVersion | None, devices: tuple[int, int], number: int
+    ) -> None:
+        ids = {f"COMPASS_DEV_ID{k}": float(one) for k, one in zip(("", "2"), devices, strict=True)}
+        offsets = {name: float(10 * number + k) for k, name in enumerate(OFFSETS)}
+        super().__init__(ardupilot_parameters(**ids, **offsets))
+        self.system, self.version, self.number, self.own = system, version, number, set(offsets.values())
+        self.time_s, self._beat_s = 0.0, 0.0
+        self._due: list[Message] = []
 
     def receive(self, message: Message, system: int, component: int, port: int = 0) -> None:
         """Answer as the firmware does."""
-        match message:
-            case ParamRequestRead(param_id=name) if name in self.values:
-                self._say(ParamValue(name, self.values[name], _REAL32, len(self.values), 65_535))
-            case ParamSet(param_id=name, param_value=value) if name in self.values:
-                self.values[name] = value
-                names = [name[:-1] + axis for axis in "XYZ"] if name.endswith("_X") else [name]
-                for each in names:
-                    self._say(ParamValue(each, self.values[each], _REAL32, len(self.values), 65_535))
-            case CommandLong(command=MavCmd.REQUEST_MESSAGE) if self.version is not None:
-                self._say(CommandAck(message.command, MavResult.ACCEPTED))
-                self._say(self.version)
-            case CommandLong():
-                self._say(CommandAck(message.command, MavResult.UNSUPPORTED))
+        self._due += self.handle(message)
 
-    def _say(self, message: Message) -> None:
-        self._due.append(SaidMessage(self.time_s, self.system, 1, message))
+    def command(self, message: CommandLong) -> list[Message]:
+        """Tell who it is."""
+        if message.command == MavCmd.REQUEST_MESSAGE and self.version is not None:
+            return [CommandAck(message.command, MavResult.ACCEPTED), self.version]
+        return [CommandAck(message.command, MavResult.UNSUPPORTED)]
 
     def advance(self, until_s: float) -> list[SaidMessage]:
         """Let time pass."""
-        self.time_s = until_s
         if until_s >= self._beat_s:
             self._beat_s = until_s + 1.0
-            self._say(Heartbeat(MavType.GROUND_ROVER, MavAutopilot.ARDUPILOTMEGA))
-        said, self._due = list(self._due), deque()
-        return said
+            self._due.append(self.heartbeat())
+        said, self._due = self._due, []
+        was_s, self.time_s = self.time_s, until_s
+        return [SaidMessage(was_s, self.system, 1, message) for message in said]
 
 
 def draw_vehicles(chance: random.Random) -> list[Vehicle]:
@@ -238,27 +203,32 @@ class History:
         return Clock
 
 
-def main(arguments: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--histories", type=int, default=1000)
-    parser.add_argument("--steps", type=int, default=8)
-    parser.add_argument("--seed", type=int, default=1)
-    options = parser.parse_args(arguments)
-    wrong = written = refused = 0
-    with patch("os.fsync", lambda handle: None):
-        for seed in range(options.seed, options.seed + options.histories):
-            with tempfile.TemporaryDirectory() as folder:
-                history = History(seed, Path(folder))
-                history.run(options.steps)
-            written, refused, wrong = (
-                written + history.written,
-                refused + history.refused,
-                wrong + bool(history.wrong),
-            )
-            for sentence in history.wrong:
-                print(f"history {seed}: {sentence}")
-    print(f"{wrong} of {options.histories} histories wrong; {written} writes done, {refused} refused")
-    return 1 if wrong or not (written and refused) else 0
+@dataclass(frozen=True)
+class Lived:
+    """Hold what became of a history."""
+
+    written: int
+    refused: int
+    wrong: list[str]
+
+
+def live(seed: int, steps: int) -> Lived:
+    """Draw a history and let it happen."""
+    with folder() as place, patch("os.fsync", lambda handle: None):
+        history = History(seed, place)
+        history.run(steps)
+    return Lived(history.written, history.refused, history.wrong)
+
+
+def main(words: list[str] | None = None) -> int:
+    """Let them all happen."""
+    wanted = options(__doc__, words, histories=1000, steps=8, seed=1, workers=1)
+    seeds = range(wanted.seed, wanted.seed + wanted.histories)
+    lived = [*tried(partial(live, steps=wanted.steps), seeds, lambda one: one.wrong, workers=wanted.workers)]
+    written, refused = sum(one.written for one in lived), sum(one.refused for one in lived)
+    wrong = sum(bool(one.wrong) for one in lived)
+    print(f"{share(wrong, len(lived))} histories wrong; {written} writes done, {refused} refused")
+    return ended(wanted.json, lived, wrong or not (written and refused))
 
 
 if __name__ == "__main__":

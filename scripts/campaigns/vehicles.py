@@ -1,6 +1,7 @@
 """Does one command calibrate every kind of vehicle? All simulated vehicles, many seeds, compasses badly bent.
 
     python scripts/campaigns/vehicles.py [--seeds 20] [--share 1.0] [--vehicle rover]... [--quality lossy]...
+                                         [--workers 2]
 
 The steering compass is wrong by `share` of the horizontal field, in a direction drawn by the seed: it bends
 the autopilot's own yaw while it turns; over links of these qualities. Judged by the simulator's truth.
@@ -10,15 +11,16 @@ and 1.96 of it.
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import math
 import random
 import statistics
-import tempfile
+import sys
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from pathlib import Path
+from functools import partial
+
+from campaign import Several, ended, folder, options, tried
 
 from mavcompass.errors import MavCompassError
 from mavcompass.procedure.settings import CalibrateSettings
@@ -63,15 +65,15 @@ def bent_vehicle(kind: str, seed: int, share: float) -> SimulatedAutopilot:
     return SimulatedAutopilot(kind, seed=seed, compasses=setups)
 
 
-def run(kind: str, seed: int, share: float, quality: str) -> Run:
+def run(seed: int, kind: str, share: float, quality: str) -> Run:
     """Calibrate one vehicle."""
     vehicle = bent_vehicle(kind, seed, share)
     before_deg = heading_error_rms_deg(vehicle)
     link = FaultyLink(SimulatedLink(vehicle), QUALITIES[quality], seed)
     settings = CalibrateSettings(writing="yes")
-    with tempfile.TemporaryDirectory() as folder:
+    with folder() as undo:
         try:
-            report = calibrate_on(link, f"sim:{kind}", settings, undo_directory=Path(folder))
+            report = calibrate_on(link, f"sim:{kind}", settings, undo_directory=undo)
         except MavCompassError as error:
             return Run(before_deg, heading_error_rms_deg(vehicle), math.nan, 0, vehicle.time_s, str(error))
     trouble = "" if report.written else "; ".join(report.results[0].reasons or report.messages)
@@ -91,24 +93,28 @@ def rms(values: Iterable[float]) -> float:
     return math.sqrt(statistics.mean(squares)) if squares else math.nan
 
 
-def main() -> None:
+def main() -> int:
     """Run the campaign and print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    wanted = options(
+        __doc__,
+        seeds=20,
+        first_seed=100,
+        share=1.0,
+        vehicle=Several([*PROFILES]),
+        quality=(Several(QUALITIES), "of the link; clean"),
+        workers=1,
     )
-    parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--first-seed", type=int, default=100)
-    parser.add_argument("--share", type=float, default=1.0)
-    parser.add_argument("--vehicle", action="append", choices=[*PROFILES])
-    parser.add_argument("--quality", action="append", choices=QUALITIES, help="of the link; clean")
-    arguments = parser.parse_args()
     print(
         "vehicle, link           runs  within  before deg  after deg median / max    rms  claimed  1, 1.96 s"
         "  positions  vehicle s median"
     )
-    for kind, quality in itertools.product(arguments.vehicle or PROFILES, arguments.quality or ("clean",)):
-        seeds = range(arguments.first_seed, arguments.first_seed + arguments.seeds)
-        show(f"{kind}, {quality}", seeds, [run(kind, seed, arguments.share, quality) for seed in seeds])
+    table = {}
+    for kind, quality in itertools.product(wanted.vehicle or PROFILES, wanted.quality or ("clean",)):
+        seeds = range(wanted.first_seed, wanted.first_seed + wanted.seeds)
+        one = partial(run, kind=kind, share=wanted.share, quality=quality)
+        table[f"{kind}, {quality}"] = runs = [*tried(one, seeds, workers=wanted.workers)]
+        show(f"{kind}, {quality}", seeds, runs)
+    return ended(wanted.json, table, wrong=False)
 
 
 def show(name: str, seeds: Iterable[int], runs: list[Run]) -> None:
@@ -132,4 +138,4 @@ def show(name: str, seeds: Iterable[int], runs: list[Run]) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

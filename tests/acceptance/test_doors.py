@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-CAMPAIGNS = Path(__file__).parents[2] / "scripts" / "campaigns"
 # One of each verdict, a remark of what the parameters tell, and one, of many, that is mended.
 SAMPLE = (
     "two contradict, rover",
@@ -23,10 +21,9 @@ SAMPLE = (
 
 
 @pytest.fixture(scope="module")
-def doors() -> Iterator[Any]:
+def doors(campaigns: Callable[[str], Any]) -> Iterator[Any]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(CAMPAIGNS))
-        doors = importlib.import_module("doors")
+        doors = campaigns("doors")
         # As many readings a second as a compass has: recordings of half the size.
         patch.setattr(doors, "CalibrateSettings", partial(doors.CalibrateSettings, rate_hz=10.0))
         yield doors

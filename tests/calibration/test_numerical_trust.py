@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib
 import math
 import os
 import subprocess
@@ -11,6 +10,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -136,11 +136,11 @@ def drawn_sections(rng: np.random.Generator, count: int) -> Sections:
     return Sections(**{**rest, **given})
 
 
-def test_the_covariance_is_positive_definite_whatever_was_visited(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_covariance_is_positive_definite_whatever_was_visited(
+    campaigns: Callable[[str], ModuleType],
+) -> None:
     """A few of `scripts/campaigns/covariances.py`."""
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "scripts" / "campaigns"))
-    campaign = importlib.import_module("covariances")
-    found = [campaign.least_eigenvalue((7, number)) for number in range(60)]
+    found = [campaigns("covariances").least_eigenvalue((7, number)) for number in range(60)]
     solved = [least for least in found if least is not None]
     assert len(solved) > 30 and min(solved) > 0.0
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
-import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -23,13 +22,8 @@ DOCUMENT: dict[str, Any] = json.loads(params_path("gap/criterion.json").read_tex
 
 
 @pytest.fixture(scope="module")
-def command() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("learn_gap", ROOT / "scripts/campaigns/learn_gap.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+def command(campaigns: Callable[[str], ModuleType]) -> ModuleType:
+    return campaigns("learn_gap")
 
 
 def test_the_tables_are_those_of_the_command_as_it_stands(command: ModuleType) -> None:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import importlib
 import random
 import time
 import tracemalloc
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Callable
 from types import ModuleType
 
 import pytest
 
-CAMPAIGNS = Path(__file__).parents[2] / "scripts" / "campaigns"
 NAMES = (
     "framing codec listeners tlog dataflash dataflash-text ulog csv"
     " param params undo diagnosis preset toml address effect body guard"
@@ -20,10 +17,8 @@ NAMES = (
 
 
 @pytest.fixture(scope="module")
-def campaign() -> Iterator[tuple[ModuleType, ModuleType]]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(CAMPAIGNS))
-        yield importlib.import_module("fuzz"), importlib.import_module("fuzz_targets")
+def campaign(campaigns: Callable[[str], ModuleType]) -> tuple[ModuleType, ModuleType]:
+    return campaigns("fuzz"), campaigns("fuzz_targets")
 
 
 @pytest.mark.parametrize("name", NAMES)

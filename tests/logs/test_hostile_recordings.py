@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -30,10 +29,8 @@ CAMPAIGN = Path(__file__).parents[2] / "scripts" / "campaigns" / "hostile_record
 
 
 @pytest.fixture(scope="module")
-def files() -> Iterator[ModuleType]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(CAMPAIGN.parent))
-        yield importlib.import_module("hostile_files")
+def files(campaigns: Callable[[str], ModuleType]) -> ModuleType:
+    return campaigns("hostile_files")
 
 
 def test_a_draw_of_hostile_recordings_stays_within_the_budgets(tmp_path: Path) -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import ModuleType
 
@@ -22,14 +20,8 @@ EVENTS = ("stick", "mode", "disarm", "battery", "signal", "silence", "broken", "
 
 
 @pytest.fixture(scope="module")
-def campaign() -> ModuleType:
-    path = Path(__file__).parents[2] / "scripts" / "campaigns" / "interruptions.py"
-    spec = importlib.util.spec_from_file_location("interruptions", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # its dataclasses look their module up there
-    spec.loader.exec_module(module)
-    return module
+def campaign(campaigns: Callable[[str], ModuleType]) -> ModuleType:
+    return campaigns("interruptions")
 
 
 @pytest.mark.parametrize("event", EVENTS)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -152,19 +150,11 @@ def test_only_the_vehicle_of_the_configured_system_is_served(tmp_path: Path) -> 
     assert station.stop()
 
 
-def soak_script() -> ModuleType:
-    path = Path(__file__).parents[2] / "scripts" / "campaigns" / "service_soak.py"
-    spec = importlib.util.spec_from_file_location("service_soak", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["service_soak"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_cuts_and_reboots_are_bridged_and_no_calibration_result_is_missed() -> None:
+def test_cuts_and_reboots_are_bridged_and_no_calibration_result_is_missed(
+    campaigns: Callable[[str], ModuleType],
+) -> None:
     """Four minutes of the campaign `scripts/campaigns/service_soak.py`."""
-    figures = soak_script().Soak(hours=0.07, cuts=5, reboots=1, calibrations=1).run()
+    figures = campaigns("service_soak").Soak(hours=0.07, cuts=5, reboots=1, calibrations=1).run()
     faults = [fault for fault in figures.faults if "memory" not in fault]  # too short for that
     assert faults == []
     assert figures.calibrations == 1

@@ -35,11 +35,7 @@ def judge_end(scene: Scene, work: Work, ending: Ending, ended_s: float, known: f
 
 def _motion(scene: Scene, work: Work, ended_s: float) -> list[str]:
     """Look on for a while: the vehicle stands, and did so in time."""
-    vehicle = scene.vehicle
-    with scene.link() as link:
-        end_s = vehicle.time_s + _LOOKS_ON_S
-        while link.now() < end_s:
-            link.receive(end_s - link.now())
+    scene.look_on(_LOOKS_ON_S)
     longer_s = scene.turning_s - ended_s
     if scene.fault is not None and scene.fault.ends_it:
         # The service goes on after a fault, and may turn the vehicle again when it is asked to.

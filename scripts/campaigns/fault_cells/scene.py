@@ -16,7 +16,14 @@ from typing import Any, Literal
 from unittest.mock import patch
 
 from mavcompass.errors import LinkLost
-from mavcompass.messages import Incoming, Message, ParamRequestRead
+from mavcompass.messages import (
+    CommandLong,
+    Incoming,
+    Message,
+    ParamRequestRead,
+    SetAttitudeTarget,
+    SetPositionTargetLocalNed,
+)
 from mavcompass.procedure.script import Show
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.simulated import SimulatedLink
@@ -81,6 +88,7 @@ class Scene:
         foreign, foreign_s: what somebody else wrote, and when last. read_s: when each was read last.
         tracebacks: those in the log, and those that nobody could catch.
         turning_s: when the vehicle was last seen turning. stood_s: when first not, after `at_s`.
+        commanded_s: when it was last told to turn.
     """
 
     vehicle: SimulatedAutopilot
@@ -108,6 +116,7 @@ class Scene:
     read_s: dict[str, float] = field(default_factory=dict)
     turning_s: float = -math.inf
     stood_s: float = -math.inf
+    commanded_s: float = -math.inf
     tracebacks: list[str] = field(default_factory=list)
     held: dict[str, Carried] = field(default_factory=dict)
 
@@ -120,6 +129,13 @@ class Scene:
         """Open a link to the vehicle."""
         self.closed = False
         return WatchedLink(self)
+
+    def look_on(self, seconds: float) -> None:
+        """Let time pass while somebody listens."""
+        with self.link() as link:
+            end_s = self.vehicle.time_s + seconds
+            while link.now() < end_s:
+                link.receive(end_s - link.now())
 
     def compass_values(self) -> dict[str, float]:
         """Read the truth: what the vehicle's storage holds about its compasses."""
@@ -201,7 +217,8 @@ class WatchedLink(SimulatedLink):
             if self._coming and self._coming[0][0] <= now_s:
                 late = heapq.heappop(self._coming)[2]
                 return Incoming(now_s, late.system, late.component, late.message)
-            until_s = min([deadline_s, *(queue[0][0] for queue in (self._coming, self._going) if queue)])
+            queues = (self._coming, self._going, self.scene.agenda)
+            until_s = min([deadline_s, *(queue[0][0] for queue in queues if queue)])
             heard = super().receive(max(until_s - now_s, 0.0))
             if heard is not None:
                 if self.now() < self.scene.silent_until_s:
@@ -235,6 +252,8 @@ class WatchedLink(SimulatedLink):
             return
         if isinstance(carried.message, ParamRequestRead):
             scene.read_s[carried.message.param_id] = self.now()
+        if moves(carried.message):
+            scene.commanded_s = self.now()
         self.autopilot.receive(carried.message, carried.system, carried.component, self._port)
 
     def _advance(self, until_s: float) -> None:
@@ -244,6 +263,18 @@ class WatchedLink(SimulatedLink):
             scene.turning_s = self.autopilot.time_s
         elif self.autopilot.time_s >= scene.at_s > scene.stood_s:
             scene.stood_s = self.autopilot.time_s
+
+
+def moves(message: Message) -> bool:
+    """Tell whether a message asks for a turn; a command of zero rate does not."""
+    match message:
+        case CommandLong(command=115):
+            return True
+        case SetPositionTargetLocalNed(yaw_rate=rate, type_mask=mask):
+            return not (mask & 0x400) or rate != 0.0
+        case SetAttitudeTarget(body_yaw_rate=rate, type_mask=mask):
+            return not (mask & 0x80) or rate != 0.0
+    return False
 
 
 class _WatchedFile:

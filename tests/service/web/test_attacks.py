@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import itertools
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from types import ModuleType
 
 import httpx
 import pytest
@@ -105,10 +105,9 @@ def test_who_never_reads_is_cut_off(quiet: RunningService, monkeypatch: pytest.M
                 time.sleep(0.05)
 
 
-def test_a_siege_of_all_kinds_shuts_nobody_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_siege_of_all_kinds_shuts_nobody_out(campaigns: Callable[[str], ModuleType]) -> None:
     """A little of scripts/campaigns/hostile_connections.py; on a busy machine all takes longer, but ends."""
-    monkeypatch.syspath_prepend(str(Path(__file__).parents[3] / "scripts" / "campaigns"))
-    siege = importlib.import_module("hostile_connections")
+    siege = campaigns("hostile_connections")
     figures = siege.campaign(connections=400, seconds=4.0)
     assert not figures["failed"] and figures["exit_code"] == 0, figures
     assert min(figures["opened"].values()) >= 80 and min(figures["asked"].values()) > 0

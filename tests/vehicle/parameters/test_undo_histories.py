@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
+from collections.abc import Callable
 from types import ModuleType
 
 import pytest
@@ -14,14 +12,8 @@ from mavcompass.vehicle.parameters import undo
 
 
 @pytest.fixture(scope="module")
-def campaign() -> ModuleType:
-    path = Path(__file__).parents[3] / "scripts" / "campaigns" / "undo_histories.py"
-    spec = importlib.util.spec_from_file_location("undo_histories", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+def campaign(campaigns: Callable[[str], ModuleType]) -> ModuleType:
+    return campaigns("undo_histories")
 
 
 def test_no_value_goes_to_the_wrong_vehicle(campaign: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
-import sys
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -139,14 +138,8 @@ def test_where_stamps_cannot_be_kept_it_is_told_before_and_goes_on_after(
 
 
 @pytest.fixture(scope="module")
-def campaign() -> ModuleType:
-    path = Path(__file__).parents[3] / "scripts" / "campaigns" / "replayed_signatures.py"
-    spec = importlib.util.spec_from_file_location("replayed_signatures", path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+def campaign(campaigns: Callable[[str], ModuleType]) -> ModuleType:
+    return campaigns("replayed_signatures")
 
 
 def test_of_frames_played_again_none_is_believed(
