@@ -5,8 +5,7 @@ Framing (headers, checksums, signatures) is in `framing`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from operator import itemgetter
 from struct import Struct
 from typing import Any
@@ -20,25 +19,25 @@ _BITS_FIRST = ("PARAM_VALUE", "PARAM_SET")
 _NUMBER_OF_BITS = Struct("<I")
 
 
-@dataclass(frozen=True, slots=True)
 class WireFormat:
-    """Describe one message on the wire.
+    """Read and write one message.
 
     Attributes:
         id, crc_extra, base_length, full_length: as the dialect says; base without the extension fields.
         kind: the dataclass, None for messages that this program does not use.
     """
 
-    id: int
-    crc_extra: int
-    base_length: int
-    full_length: int
-    kind: type[Message] | None
-    _struct: Struct
-    _defaults: tuple[Any, ...]
-    _places: tuple[tuple[str, int, int, bool], ...]
-    _pick: Callable[[tuple[Any, ...]], tuple[Any, ...]] | None
-    _bits_first: bool
+    def __init__(self, description: Description) -> None:
+        self.id, self.crc_extra = description.id, description.crc_extra
+        self.base_length, self.full_length = description.base_length, description.payload.size
+        self.kind = kind_named(description.name)
+        self._struct = description.payload
+        self._defaults = self._struct.unpack(bytes(self.full_length))
+        self._places = () if self.kind is None else tuple(_places(description, self.kind))
+        numbers_only = all(not count and not text for _, _, count, text in self._places)
+        at = [at for _, at, _, _ in self._places]
+        self._pick = itemgetter(*at) if numbers_only and len(at) > 1 else None
+        self._bits_first = description.name in _BITS_FIRST
 
     def decode(self, payload: bytes) -> Message:
         """Read a payload of any length: what is missing at its end is zero, what is too much is ignored."""
@@ -83,26 +82,8 @@ def wire_format(message_id: int) -> WireFormat | None:
     """Look up a message by its number; None for one that the dialect does not have."""
     form = _FORMATS.get(message_id)
     if form is None and (description := describe(message_id)) is not None:
-        form = _FORMATS[message_id] = _format_of(description)
+        form = _FORMATS[message_id] = WireFormat(description)
     return form
-
-
-def _format_of(description: Description) -> WireFormat:
-    kind, payload = kind_named(description.name), description.payload
-    places = tuple(_places(description, kind)) if kind is not None else ()
-    numbers_only = all(not count and not text for _, _, count, text in places) and len(places) > 1
-    return WireFormat(
-        id=description.id,
-        crc_extra=description.crc_extra,
-        base_length=description.base_length,
-        full_length=payload.size,
-        kind=kind,
-        _struct=payload,
-        _defaults=payload.unpack(bytes(payload.size)),
-        _places=places,
-        _pick=itemgetter(*(at for _, at, _, _ in places)) if numbers_only else None,
-        _bits_first=description.name in _BITS_FIRST,
-    )
 
 
 def _places(description: Description, kind: type[Message]) -> list[tuple[str, int, int, bool]]:
