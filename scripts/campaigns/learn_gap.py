@@ -29,7 +29,7 @@ from mavcompass.gap.tables import KINDS, OUTCOMES, SCHEMA
 from mavcompass.gap.trial import cases as bench
 from mavcompass.gap.trial.cases import Label
 from mavcompass.gap.trial.foreign import case_of
-from mavcompass.gap.trial.score import Answer, score
+from mavcompass.gap.trial.trial import Answer, score
 from mavcompass.installation.data_files import params_path
 
 # What is learnt from, and what judges: maker, tier, with a baseline, first seed, how many.

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -39,15 +39,12 @@ def intervals(problem: Problem, fit: Fit) -> list[dict[str, _Interval]]:
     """Return the 95 % interval of each parameter of each effect of a fit.
 
     Of what was fitted it is that of errors that may last for seconds (`Problem.lasting_covariance`); of what
-    the fit does without, that of a fit with it; of what has no derivative, as a threshold, the values that
+    has no derivative, as a threshold, the values that
     fit as well (Venzon and Moolgavkar, Applied Statistics 37, 1988, with the other values held).
     """
     if not fit.terms:
         return []
-    whole = replace(fit, terms=tuple(make_term(t.effect, problem.replay.signals) for t in fit.terms))
-    sigmas = _sigmas(problem, whole)
-    for term, needed, sigma in zip(fit.terms, _sigmas(problem, fit), sigmas, strict=True):
-        sigma[term.free] = needed[term.free]
+    sigmas = _sigmas(problem, fit)
     out = []
     for place, (term, theta) in enumerate(zip(fit.terms, fit.thetas, strict=True)):
         told = {}

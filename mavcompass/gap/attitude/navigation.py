@@ -29,7 +29,6 @@ from mavcompass.gap.attitude.smoother import (
     PHI,
     SCALE,
     SCALE_SIGMA,
-    USUAL_V_MPS,
     Sensed,
     Smoother,
     Witness,
@@ -101,14 +100,11 @@ def smoothed_attitude(
     scale_sigma: float = SCALE_SIGMA,
 ) -> Smoothed:
     """Smooth a first trajectory (N, 3, 3); its yaw must be about that of the velocity, if there is one."""
-    smoother, bound_mps = Smoother(sensed, bias, velocity, witness, scale_sigma), USUAL_V_MPS
+    smoother = Smoother(sensed, bias, velocity, witness, scale_sigma)
     rotation, trust = smoother.through(smoother.at_knots(start)), smoother.full_trust()
     solved: Solved | None = None
     for turn in range(_PASSES):
-        chain = smoother.chain(rotation, trust)
-        if turn == 1:
-            bound_mps = smoother.likeliest_bound(chain)
-        solved = smoother.bounded(chain, bound_mps).solve()
+        solved = smoother.chain(rotation, trust).solve()
         before, trust = trust, smoother.trust(solved)
         phi = solved.states[:, PHI]
         rotation = smoother.through(exponentials(phi) @ smoother.at_knots(rotation))
@@ -229,19 +225,6 @@ def wandering_yaw(time_s: FloatArray) -> FloatArray:
     return curves
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Start:
-    """Hold a first attitude at the gyro's times.
-
-    Attributes:
-        rotation: body to NED where `bearing` is known, else to a level frame of any yaw, (N, 3, 3).
-        bearing: True where the receiver's velocity explains the forces that are felt, and told the yaw.
-    """
-
-    rotation: FloatArray
-    bearing: bool
-
-
 def sensed_by(track: Track) -> Sensed | None:
     """Return what gyro and accelerometer say; None where the recording lacks either."""
     if track.gyro_radps is None or track.acc_mps2 is None or len(track.gyro_radps) < _FEWEST:
@@ -261,9 +244,14 @@ def sensed_by(track: Track) -> Sensed | None:
     )
 
 
-def started(data: Sensed, resting: Bias, velocity: Velocity | None, autopilot: FloatArray | None) -> Start:
-    """Start from an autopilot's attitude (N, 3, 3) where there is one, else by levelling the gyro; at the yaw
-    that a receiver's velocity tells."""
+def started(
+    data: Sensed, resting: Bias, velocity: Velocity | None, autopilot: FloatArray | None
+) -> tuple[FloatArray, bool]:
+    """Return a first attitude, body to NED, (N, 3, 3), and whether the receiver's velocity told its yaw.
+
+    It starts from an autopilot's attitude (N, 3, 3) where there is one, else by levelling the gyro. Where the
+    velocity does not explain the forces that are felt, it goes to a level frame of any yaw.
+    """
     # Only a start: it goes on where readings were lost, and its level is about right.
     rotation, absorbed_s = (_levelled(data, resting), _LEVELLED_S) if autopilot is None else (autopilot, 0.0)
     bearing = None
@@ -271,7 +259,7 @@ def started(data: Sensed, resting: Bias, velocity: Velocity | None, autopilot: F
         bearing = velocity.bearing(data.time_s, rotation, data.force_mps2, absorbed_s)
     if bearing is not None:
         rotation = turned_about_down(rotation, -bearing)
-    return Start(rotation, bearing is not None)
+    return rotation, bearing is not None
 
 
 def _levelled(data: Sensed, resting: Bias) -> FloatArray:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, matrix_to_euler, quaternion_to_matrix
-from mavcompass.gap.attitude.kinematics import carried, integral, turned_about_down, turned_between
+from mavcompass.gap.attitude.kinematics import carried, turned_about_down, turned_between
 from mavcompass.gap.attitude.navigation import (
     FAULTY_SCALE,
     believable,
@@ -34,7 +34,7 @@ from mavcompass.gap.attitude.navigation import (
 from mavcompass.gap.attitude.receiver import receiver_velocity
 from mavcompass.gap.attitude.scatter import Bias, bias_at_rest
 from mavcompass.gap.attitude.smoother import Witness
-from mavcompass.gap.attitude.steering import age_of, steered_by, told_rotation
+from mavcompass.gap.attitude.steering import steered_by, told_rotation
 from mavcompass.gravity import require_gravity
 from mavcompass.simulation.effects.sampling import at_times, rotation_at
 from mavcompass.simulation.physics.signals import Turning
@@ -54,8 +54,6 @@ _MOST_ALONE = 48
 # Constant and slow errors of a yaw's witnesses.
 _AUTOPILOT_RAD, _AUTOPILOT_SLOW_RAD = math.radians(3.0), math.radians(0.7)
 _ANTENNAS_RAD, _ANTENNAS_SLOW_RAD = math.radians(1.0), math.radians(0.1)
-# Farther over, a bent yaw tilts the autopilot's attitude too, and looks like an age.
-_UPRIGHT = math.cos(math.radians(30.0))
 _REMEDY = "Record RAW_IMU or IMU messages at 10 Hz or more, or an attitude (ATTITUDE, ATT)."
 
 
@@ -223,17 +221,17 @@ def _fused(
     resting = bias_at_rest(clock, sensed.rate_radps, sensed.force_mps2)
     velocity = receiver_velocity(track, clock) if listening else None
     autopilot = _autopilot_rotation(track, clock) if choice == "auto" else None
-    start, level = started(sensed, resting, velocity, autopilot), autopilot
-    if autopilot is not None and velocity is not None and not start.bearing:
-        alone = started(sensed, resting, velocity, None)
-        if alone.bearing:
+    (rotation, bearing), level = started(sensed, resting, velocity, autopilot), autopilot
+    if autopilot is not None and velocity is not None and not bearing:
+        alone, bearing = started(sensed, resting, velocity, None)
+        if bearing:
             # The receiver explains what is felt, but not as the autopilot leans: by a bent compass.
-            start, level = alone, None
-    antennas = _antennas_yaw(track, clock, start.rotation) if choice in ("auto", "gps-yaw") else None
+            rotation, level = alone, None
+    antennas = _antennas_yaw(track, clock, rotation) if choice in ("auto", "gps-yaw") else None
     if choice == "gps-yaw" and antennas is None:
         return None
-    told = ["the receiver's velocity"] if start.bearing else []
-    witness, rotation = None, start.rotation
+    told = ["the receiver's velocity"] if bearing else []
+    witness = None
     if antennas is not None:
         leaning = rotation if level is None else level
         witness = Witness(_facing(leaning, antennas), _ANTENNAS_RAD, _ANTENNAS_SLOW_RAD)
@@ -242,10 +240,10 @@ def _fused(
         steered = steered_by(track, instance) == "other"
         witness = Witness(level, _AUTOPILOT_RAD if steered else math.inf, _AUTOPILOT_SLOW_RAD)
         told += ["the autopilot's yaw, which another compass steers"] if steered else []
-    if not start.bearing and witness is not None and math.isfinite(witness.constant_rad):
+    if not bearing and witness is not None and math.isfinite(witness.constant_rad):
         ahead = float(np.median(_ahead(rotation, witness.rotation)))
         rotation = euler_to_matrix(0.0, 0.0, ahead) @ rotation
-    heard = velocity if start.bearing else None
+    heard = velocity if bearing else None
     smoothed = smoothed_attitude(sensed, rotation, resting, heard, witness)
     if not smoothed.borne_out:
         return _fused(track, time_s, choice, instance, doubted, listening=False)
@@ -256,19 +254,13 @@ def _fused(
         smoothed = smoothed_attitude(sensed, smoothed.rotation, known, heard, witness)
     if stretched(smoothed):
         smoothed = smoothed_attitude(sensed, smoothed.rotation, known, heard, witness, FAULTY_SCALE)
-    age = 0.0
-    if autopilot is not None and float(np.min(smoothed.rotation[:, 2, 2])) > _UPRIGHT:
-        # Whatever steers the autopilot's yaw, it turns when the vehicle turns.
-        turning = np.einsum("ni,ni->n", smoothed.rate_radps, smoothed.rotation[:, 2])
-        yaw = integral(clock, turning[:, None])[:, 0] + _ahead(smoothed.rotation, autopilot)
-        age = age_of(clock, turning, clock, yaw) or 0.0
     is_told, healthy = bool(told) and choice != "gyro", believable(smoothed, resting)
     doubt = doubt_of(smoothed, time_s[doubted], is_told, healthy)
     by = f"; its yaw follows {' and '.join(told)}" if told else "; its initial yaw is solved with the field"
     return Reference(
         "fused" if choice == "auto" else choice,
-        carried(clock, smoothed.rotation, smoothed.rate_radps, time_s + age),
-        at_times(clock, smoothed.rate_radps, time_s + age),
+        carried(clock, smoothed.rotation, smoothed.rate_radps, time_s),
+        at_times(clock, smoothed.rate_radps, time_s),
         _near(clock, time_s, 3.0 * float(np.median(np.diff(clock)))),
         yaw_sigma_rad=doubt.yaw_sigma_rad,
         with_yaw=doubt.with_yaw,

@@ -1,4 +1,4 @@
-"""How sampled readings scatter: what is white in them, what lies between them, and a gyro's bias at rest."""
+"""How sampled readings scatter: what is white in them, and a gyro's bias at rest."""
 
 from __future__ import annotations
 
@@ -15,9 +15,7 @@ from mavcompass.frames import FloatArray
 _ORDER = 6
 # Readings of a window that a spectrum is taken of, and frequencies that a window spreads a constant over.
 _WINDOW, _WINDOWED = 32, 3
-# The share of a fourth difference that an integral misses between samples, and beyond which multiple of the
-# usual square it does; the median of squares of normal deviates.
-_MISSED, _FAR_OUT = 0.1, 6.0
+# The median of squares of normal deviates.
 MEDIAN_OF_SQUARES = 0.455
 _SMOOTHING_S = 0.7
 _SHORTEST_S = 2.0
@@ -58,23 +56,6 @@ def white_floor(values: FloatArray) -> FloatArray:
     power = np.median(np.abs(np.fft.rfft(pieces, axis=1)) ** 2, axis=0) / math.log(2.0)
     # The window spreads a constant and a slow turn over the lowest ones.
     return np.asarray(np.sqrt(np.quantile(power[_WINDOWED : size // 2], 0.25, axis=0)))
-
-
-def missed_between(clock: FloatArray, values: FloatArray, knots: FloatArray) -> FloatArray:
-    """Return the variances of what integrals of values (N, 3) miss between knots (K,), (K - 1, 3), where the
-    values change within a few samples.
-
-    What is sampled often enough has small fourth differences. A vehicle that rocks all the time is missed as
-    often one way as the other: only what stands out of the usual counts.
-    """
-    each_s = float(np.median(np.diff(clock)))
-    square = np.zeros_like(values)
-    square[2:-2] = np.diff(values, 4, axis=0) ** 2
-    usual = np.median(square, axis=0) / MEDIAN_OF_SQUARES
-    missed = (_MISSED * each_s) ** 2 * np.where(square > _FAR_OUT * usual, square, 0.0)
-    steps = len(knots) - 1
-    within = np.clip(np.searchsorted(knots, clock, side="right") - 1, 0, steps - 1)
-    return np.stack([np.bincount(within, one, minlength=steps) for one in missed.T], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

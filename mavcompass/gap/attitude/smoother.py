@@ -34,7 +34,7 @@ from mavcompass.gap.attitude.kinematics import (
     rotation_vectors,
 )
 from mavcompass.gap.attitude.receiver import Velocity
-from mavcompass.gap.attitude.scatter import MEDIAN_OF_SQUARES, Bias, missed_between, white_floor
+from mavcompass.gap.attitude.scatter import MEDIAN_OF_SQUARES, Bias, white_floor
 from mavcompass.gap.attitude.steering import TURN_MEMORIES_S, remembered_turns
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
@@ -51,7 +51,7 @@ LOST_YAW_RAD, _UNKNOWN_V_MPS = math.radians(60.0), 100.0
 _RECEIVER_MEMORY_S, _VELOCITY_MEMORY_S, _OUTLIER = 1.0, 10.0, 2.5
 # A velocity is contradicted where more is left of it than it varies by, and than so many of its errors.
 _BORNE_OUT = 2.0
-USUAL_V_MPS, _VELOCITIES_MPS = 2.0, (0.2, 0.6, 2.0, 6.0)
+_USUAL_V_MPS = 2.0
 # An autopilot's level is made of the same sensors, and its filter errs as the vehicle turns: it bounds the
 # level, and carries it over what was lost.
 _LEVEL_RAD, _LEVEL_MEMORY_S, _LEVEL_SCATTER_RAD = math.radians(2.0), 20.0, math.radians(0.5)
@@ -115,7 +115,6 @@ class Smoother:
         self._turned = self._still_knots[:-1].transpose(0, 2, 1) @ self._still_knots[1:]
         self._walk, self._unturned = self._walked(self.rate, _WALK, 0.5)
         self._push, self._unpushed = self._walked(self.force, _PUSH, 0.7)
-        self._bent, self._jolted = (missed_between(clock, v, self.knots) for v in (self.rate, self.force))
         self._told = None if witness is None else self.at_knots(witness.rotation)
         self._linked = self._turned
         if self._told is not None:
@@ -127,7 +126,7 @@ class Smoother:
             self._unturned = np.where(known, _TOLD_TURN_RAD**2 + bent**2, self._unturned)
 
     def chain(self, rotation: FloatArray, trust: FloatArray) -> Chain:
-        """Return all equations about a trajectory (N, 3, 3) but those whose size is still to be found."""
+        """Return all equations about a trajectory (N, 3, 3)."""
         chain = Chain(self.knots.size, _STATES, _CONSTANTS)
         at, turn, gain = self.at_knots(rotation), *self._integrals(rotation)
         force = np.einsum("nij,nj->ni", rotation, self.force)
@@ -136,9 +135,7 @@ class Smoother:
         # Scatter of body axes in those of the world, along each of them.
         seen_by, time = at[:-1] ** 2, self.step[:, None]
         angle = time * (seen_by @ self._walk) + self._unturned[:, None]
-        angle += np.einsum("nij,nj->ni", seen_by, self._bent)
         push = time * (seen_by @ self._push) + self._unpushed[:, None]
-        push += np.einsum("nij,nj->ni", seen_by, self._jolted)
         one, unit = np.ones((count, 3)), np.tile(np.eye(3), (count, 1, 1))
         before, after, c = _blank(count, 3), _blank(count, 3), np.zeros((count, 3, _CONSTANTS))
         # phi_1 - phi_0 + integral R b + integral R diag(w) s = what the gyro turns beyond the trajectory
@@ -162,28 +159,15 @@ class Smoother:
         self._add_lasting(chain, _FAST, _FAST_RAD, _FAST_MEMORY_S, _BEGINS_RAD)
         if self.seen is not None:
             self._add_velocity(chain, self.seen, trust)
+        else:
+            J, none = _blank(self.knots.size, 3), np.zeros((self.knots.size, 3))
+            J[:, :, _V] = np.eye(3)
+            news = min(1.0, self.news_s / _VELOCITY_MEMORY_S)
+            chain.add(slice(None), J, None, none, none + news * _USUAL_V_MPS**-2.0)
         if self._told is not None and self.witness is not None:
             turned = np.concatenate([[0.0], np.cumsum(gain[:, 2].sum(axis=1))])
             self._add_witness(chain, at, self._told, self.witness, turned)
         return chain
-
-    def bounded(self, chain: Chain, velocity_mps: float) -> Chain:
-        """Return a chain whose velocity, where nobody tells it, stays within a bound."""
-        if self.seen is not None:
-            return chain
-        chain = chain.copy()
-        news = min(1.0, self.news_s / _VELOCITY_MEMORY_S)
-        J = _blank(self.knots.size, 3)
-        J[:, :, _V] = np.eye(3)
-        none = np.zeros((self.knots.size, 3))
-        chain.add(slice(None), J, None, none, none + velocity_mps**-2.0, news)
-        return chain
-
-    def likeliest_bound(self, chain: Chain) -> float:
-        """Choose the bound of an unseen velocity that the recording makes likeliest, m/s."""
-        if self.seen is not None:
-            return USUAL_V_MPS
-        return min(_VELOCITIES_MPS, key=lambda v: self.bounded(chain, v).solve().deviance)
 
     def full_trust(self) -> FloatArray:
         """Return the weights of a receiver's velocities (K, 3) before anything is known of them."""

@@ -1,6 +1,6 @@
 """The simulation that a hypothesis makes of a replay: nuisances and effects in order, and its derivatives.
 
-They are those of the forward models in closed form, or differences: each parameter runs the composition again
+They are differences: each parameter runs the composition again
 from its own stage on. What an attitude may be off by, and a common delay, are reckoned once for all columns.
 """
 
@@ -154,8 +154,6 @@ class Derivatives:
     ) -> Changes:
         """Return the changes by the free parameters of an effect that acts on state `at` and makes state
         `then`."""
-        if effect.slopes is not None and then <= self._late.start and self._after.by_itself(then):
-            return self._after.of_readings(then, effect.slopes(self._states[at], theta)[:, :, free])
         moved, steps = [], []
         for j in free:
             beside = theta.copy()

@@ -101,7 +101,6 @@ WORLD_FIELD = Effect(
     stage=Stage.WORLD,
     parameters=tuple(Parameter(n, "mG", -2000.0, 2000.0, 0.0, 1.0) for n in ("north", "east", "down")),
     forward=_world_field,
-    slopes=lambda signals, theta: signals.stimulus.rotation.transpose(0, 2, 1),
 )
 
 
@@ -239,13 +238,9 @@ class KnownIron:
                 signals.reading.mag_mgauss @ (self.matrix @ (np.eye(3) + theta.reshape(3, 3))).T
             )
 
-        def slopes(signals: Signals, theta: FloatArray) -> FloatArray:
-            by_entry = self.matrix[:, :, None] * signals.reading.mag_mgauss[:, None, None, :]
-            return by_entry.reshape(-1, 3, 9)
-
         entries = tuple(Parameter(n, "1", -0.9, 0.9, 0.0, 0.01) for n in _ENTRIES)
         title = "the matrix that the calibration in force cures"
-        return Effect(IRON_MATRIX, title, Stage.MATRIX, entries, forward, affine=True, slopes=slopes)
+        return Effect(IRON_MATRIX, title, Stage.MATRIX, entries, forward, affine=True)
 
     def _offset_effect(self) -> Effect:
         # What is not known of the motors counts from their usual load: the offset stays the offset.
@@ -257,16 +252,11 @@ class KnownIron:
                 offset = offset + self.load[:, None] * self.motor_mgauss + unusual[:, None] * theta[3:]
             return signals.with_mag(signals.reading.mag_mgauss + offset)
 
-        def slopes(signals: Signals, theta: FloatArray) -> FloatArray:
-            offset = np.broadcast_to(np.eye(3), (unusual.size, 3, 3))
-            motor = unusual[:, None, None] * offset
-            return offset if theta.size == 3 else np.concatenate([offset, motor], axis=2)
-
         parameters = tuple(Parameter(n, "mG", -2000.0, 2000.0, 0.0, 10.0) for n in "xyz")
         if self.load.any():
             parameters += tuple(Parameter(f"motor_{n}", "mG", -2000.0, 2000.0, 0.0, 1.0) for n in "xyz")
         title = "the offset that the calibration in force cures"
-        return Effect(IRON_OFFSET, title, Stage.FIELD, parameters, forward, slopes=slopes)
+        return Effect(IRON_OFFSET, title, Stage.FIELD, parameters, forward)
 
 
 def calibration_in_force(compass: MagSeries) -> FieldCorrection:

@@ -1,24 +1,288 @@
-"""The blind trial: the diagnosis examined on cases whose labels were sealed before it ran."""
+"""The blind trial: the diagnosis examined on cases whose labels were sealed before it ran, and its scores."""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 import secrets
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
+from itertools import product
+from operator import itemgetter
 
+import numpy as np
+from numpy.typing import NDArray
+
+from mavcompass.blas import single_thread
 from mavcompass.chance import wilson
 from mavcompass.errors import UsageError
-from mavcompass.gap.diagnose import diagnose_gap
+from mavcompass.frames import FloatArray
+from mavcompass.gap.diagnose import diagnose_gap, withheld_effects
+from mavcompass.gap.fit.hypothesis import Fit, Term, placements
+from mavcompass.gap.fit.model import Problem
+from mavcompass.gap.fit.search import Search
+from mavcompass.gap.replay.nominal import replay
 from mavcompass.gap.result import plain
 from mavcompass.gap.trial import cases as bench
 from mavcompass.gap.trial import foreign
-from mavcompass.gap.trial.cases import SHARES, Generator, Tier
-from mavcompass.gap.trial.score import Answer, Case, score, scoreboard
+from mavcompass.gap.trial.cases import (
+    SHARES,
+    Generator,
+    Label,
+    Tier,
+    affected,
+    recipe_of,
+    stimulus_of,
+    tracks_of,
+)
+from mavcompass.simulation.effects import catalogue, parse
+from mavcompass.simulation.physics.signals import ideal
 from mavcompass.track import Track
+
+_NO_NEARER = 0.99
+_NOT_SURE = ("unknown", "ambiguous", "named_with_remainder")
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Hold what the diagnosis said of one case, before the label was opened.
+
+    `residuals_mgauss` are those of the field without and with the named effects, (N, 3) each, `held_out` the
+    rows that the closing was measured on, (N,).
+    """
+
+    verdict: str
+    effects: tuple[str, ...]
+    in_set: tuple[tuple[str, ...], ...]
+    nominal: float
+    after: float
+    shrink: float
+    shrink_ci95: tuple[float, float]
+    seconds: float
+    cpu_seconds: float = math.nan
+    residuals_mgauss: tuple[FloatArray, FloatArray] | None = field(default=None, repr=False, compare=False)
+    held_out: NDArray[np.bool_] | None = field(default=None, repr=False, compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """Hold one scored case.
+
+    Attributes:
+        label: the truth; answer: with the whole catalogue; withheld: without the truth and its aliases.
+        separation: d_sep in sigmas (single, pair) or d_perp (withheld, outside); nan where an effect only
+            scatters or leaves traces, 0 where the flight cannot test it. In vehicles, beside the noise and
+            priors of the diagnosis, from what the catalogue's own model makes of the truth: by what another
+            make's model differs from that, no other effect is farther.
+        own_separation: of a withheld case, d_sep from all others once it is restored.
+        truth_distance: how far the catalogue's model of the truth stays from what another make's has done
+            (of vehicles). nan where the flight cannot test it.
+        exact, in_set: whether the answer names the truth, alone or among its set.
+        true_shrink: what the named effects take away of the true gap, free of noise; nan where none is named.
+        oracle_shrink: shrink of the answer over that of the true effect, on the same held-out rows. Both need
+            the exact attitude that the diagnosis of the bench has: nan in vehicles.
+    """
+
+    label: Label
+    answer: Answer
+    withheld: Answer | None
+    separation: float
+    exact: bool
+    in_set: bool
+    oracle_shrink: float
+    true_shrink: float = math.nan
+    own_separation: float = math.nan
+    truth_distance: float = math.nan
+
+    @property
+    def flagged(self) -> bool:
+        """Tell whether the answer owns up to something that it does not know."""
+        return self.answer.verdict in _NOT_SURE
+
+    @property
+    def wrong_name(self) -> bool:
+        """Tell whether something is named, without remainder, that is neither the truth nor like it."""
+        named = set(self.answer.effects) if self.answer.verdict == "named" else set()
+        return not named <= _akin(self.label.ids)
+
+
+def score(label: Label, answer: Answer, withheld: Answer | None) -> Case:
+    """Compare an answer with its label."""
+    truth = label.ids
+    exact = answer.effects == truth and answer.verdict in ("named", "ambiguous", "no_gap")
+    in_set = exact or truth in {tuple(sorted(ids)) for ids in answer.in_set}
+    separation = own = oracle = true_shrink = truth_distance = math.nan
+    if label.effects:
+        with single_thread():
+            of_vehicles = label.generator != "bench"
+            problem, others = (foreign if of_vehicles else bench).noiseless(label)
+            if of_vehicles:
+                label = replace(label, size_sigma=_size(problem))
+            else:
+                oracle, true_shrink = closing_of_the_truth(label, answer)
+            if foreign.shifts(truth):
+                seen: Search | None = Search(problem, others)
+                truth_distance = 0.0
+                if of_vehicles and label.tier != "outside":
+                    seen, truth_distance = _as_modelled(label, Search(problem, others))
+                separation = 0.0 if seen is None else _separation(label, seen)
+                if seen is not None:
+                    own = _distance(seen, frozenset(truth), most=1) if label.tier == "withheld" else own
+    return Case(label, answer, withheld, separation, exact, in_set, oracle, true_shrink, own, truth_distance)
+
+
+def _separation(label: Label, search: Search) -> float:
+    """Return how far, in sigmas of the whole recording, the case is from what other effects can make.
+
+    For a pair it is the lesser of the two distances with one member removed (a turn of the mounting that
+    stays is known); for what the catalogue does not have, or is not to use, the distance to all that three
+    others can make together.
+    """
+    if label.tier == "pair":
+        return min(_distance(search, frozenset({n}), 2, _turned(label, search, n)) for n in label.ids)
+    if label.tier == "single":
+        return _distance(search, frozenset(label.ids), most=1)
+    return _distance(search, _akin(label.ids), most=3)
+
+
+def _akin(names: Iterable[str]) -> frozenset[str]:
+    """Return effects of the catalogue with all that can look like them."""
+    return withheld_effects(name for name in names if name in catalogue())
+
+
+def _turned(label: Label, search: Search, removed: str) -> Fit | None:
+    """Return the turn of the mounting by right angles that a pair keeps: no search goes from one to the
+    next."""
+    terms = {term.effect.id: term for term in search.terms if term.effect.kind == "discrete"}
+    turns = [text for text in label.effects if text.partition(":")[0] in terms.keys() - {removed}]
+    kept = [parse(text) for text in turns]
+    known = tuple(n.mean for n in search.problem.nuisances)
+    return (
+        Fit(tuple(terms[s.effect.id] for s in kept), tuple(s.theta for s in kept), known, math.inf)
+        if kept
+        else None
+    )
+
+
+def _distance(search: Search, removed: frozenset[str], most: int, held: Fit | None = None) -> float:
+    def nearest(terms: list[Term]) -> float:
+        rest = search.on(search.problem)
+        rest.terms = terms
+        return rest.nearest(most, held).sse
+
+    usable = [term for term in search.terms if term.effect.id not in removed]
+    least = nearest(usable)
+    if search.problem.nuisances and least > _NO_NEARER * search.problem.null().sse:
+        # Beside bent nuisances the normal equations may have pointed nowhere: each by itself.
+        least = min([least, *(nearest([term]) for term in usable)])
+    return math.sqrt(max(least, 0.0))
+
+
+def _as_modelled(label: Label, search: Search) -> tuple[Search | None, float]:
+    """Return a search of what the catalogue's own model makes of the truth, and how far that stays from it.
+
+    There is none where the flight cannot test the truth.
+    """
+    terms = {term.effect.id: term for term in search.terms}
+    if not terms.keys() >= set(label.ids):
+        return None, math.nan
+    try:
+        settings = [parse(text) for text in label.effects]
+    except UsageError:
+        # Another make's effect may be larger than the catalogue calls physical.
+        return search, math.nan
+    problem = search.problem
+    known = [n.mean for n in problem.nuisances]
+    named = [terms[s.effect.id] for s in settings]
+    placed = product(*(placements(s.effect, s.theta, problem.replay.iron.offset_mgauss) for s in settings))
+    nearest = min(((problem.fit(named, thetas, known).sse, thetas) for thetas in placed), key=itemgetter(0))
+    made = problem.composition.states(named, nearest[1], known)[-1].reading.mag_mgauss
+    replayed = replace(problem.replay, measured=replace(problem.replay.measured, mag_mgauss=made))
+    modelled = search.on(Problem(replayed, problem.noise, problem.rows, problem.prior))
+    return modelled, math.sqrt(max(nearest[0], 0.0))
+
+
+def _size(problem: Problem) -> float:
+    """Return the whitened length of what the effects change, nothing else being fitted."""
+    known = [n.mean for n in problem.nuisances]
+    return float(np.linalg.norm(problem.residual(problem.composition.states((), (), known)[-1].reading)))
+
+
+def closing_of_the_truth(label: Label, answer: Answer) -> tuple[float, float]:
+    """Return the shrink over the oracle's, and the true shrink; nan where neither is defined.
+
+    The oracle is the true effect, without any fitting, on the same held-out rows. The true shrink is free
+    of noise: 1 - |made - true|^2 / |nominal - true|^2 over all rows, with the noise of the case known.
+    """
+    if answer.verdict not in ("named", "ambiguous", "named_with_remainder"):
+        return math.nan, math.nan
+    settings = [parse(text) for text in label.effects]
+    if any(s.effect.kind not in ("mean", "discrete") or s.effect.groups != ("mag",) for s in settings):
+        return math.nan, math.nan
+    replayed = replay(tracks_of(label)[0])
+    test = answer.held_out
+    if test is None:
+        return math.nan, math.nan
+    stimulus = stimulus_of(recipe_of(label))
+    nominal = ideal(stimulus).mag_mgauss
+    made = affected(stimulus, settings).mag_mgauss
+    noise = replayed.measured.mag_mgauss - made
+    left = float(np.mean(noise[test] ** 2))
+    before = float(np.mean((noise + made - nominal)[test] ** 2))
+    oracle = (answer.nominal**2 - answer.after**2) / (before - left) if before > left else math.nan
+    if answer.residuals_mgauss is None:
+        return oracle, math.nan
+    unclosed, closed = (float(np.mean((r - noise)[replayed.valid] ** 2)) for r in answer.residuals_mgauss)
+    return oracle, 1.0 - closed / unclosed if unclosed > 0.0 else math.nan
+
+
+def scoreboard(cases: Sequence[Case]) -> dict[str, tuple[int, int]]:
+    """Count the figures of a trial, stratified by separability."""
+
+    def count(chosen: list[Case], hit: Callable[[Case], bool]) -> tuple[int, int]:
+        return sum(map(hit, chosen)), len(chosen)
+
+    none = [c for c in cases if c.label.tier == "none"]
+    single = [c for c in cases if c.label.tier == "single" and math.isfinite(c.separation)]
+    traces = [c for c in cases if c.label.tier == "single" and not math.isfinite(c.separation)]
+    pairs = [c for c in cases if c.label.tier == "pair"]
+    withheld = [c for c in cases if c.label.tier == "withheld"]
+    clear = [c for c in single if c.separation >= 9.0]
+    middling = [c for c in single if 5.0 <= c.separation < 9.0]
+    both = [c for c in pairs if c.separation >= 9.0]
+    new = [c for c in withheld if c.separation >= 12.0]
+    outside = [c for c in cases if c.label.tier == "outside" and c.separation >= 12.0]
+    told = [c for c in new if c.own_separation >= 9.0]
+    oracle = [c for c in new if math.isfinite(c.oracle_shrink)]
+    claimed = [c for c in cases if math.isfinite(c.true_shrink) and math.isfinite(c.answer.shrink_ci95[0])]
+    return {
+        "no effect: named or unknown": count(none, lambda c: c.answer.verdict != "no_gap"),
+        "single, d_sep >= 9: exact": count(clear, lambda c: c.exact),
+        "single, d_sep 5 to 9: in the set": count(middling, lambda c: c.in_set),
+        "single without shift (noise, steps, repeats): exact": count(traces, lambda c: c.exact),
+        "pair, both d_sep >= 9: exact": count(both, lambda c: c.exact),
+        "pair, both d_sep >= 9: in the set": count(both, lambda c: c.in_set),
+        "withheld, d_perp >= 12: flagged": count(
+            new, lambda c: c.withheld is not None and c.withheld.verdict in _NOT_SURE
+        ),
+        "withheld, d_perp >= 12: misnamed": count(
+            new, lambda c: c.withheld is not None and c.withheld.verdict == "named"
+        ),
+        "outside, d_perp >= 12: flagged": count(outside, lambda c: c.flagged),
+        "outside, d_perp >= 12: misnamed": count(outside, lambda c: c.answer.verdict == "named"),
+        "restored, d_perp >= 12 and d_sep >= 9: exact": count(told, lambda c: c.exact),
+        "restored, d_perp >= 12: in the set": count(new, lambda c: c.in_set),
+        "restored: within 5 % of the oracle": count(oracle, lambda c: abs(c.oracle_shrink - 1.0) <= 0.05),
+        "shrink's interval covers the true shrink": count(
+            claimed, lambda c: c.answer.shrink_ci95[0] <= c.true_shrink <= c.answer.shrink_ci95[1]
+        ),
+        "confident wrong names": count(list(cases), lambda c: c.wrong_name),
+        "after above nominal": count(list(cases), lambda c: c.answer.after > c.answer.nominal * (1 + 1e-9)),
+    }
+
 
 SCHEMA = "mavcompass.gap-trial/1"
 _OF_THE_ANSWER = ("verdict", "effects", "nominal", "after", "shrink", "shrink_ci95", "seconds", "cpu_seconds")

@@ -128,7 +128,6 @@ class Signals:
 # None asks for the mean of what is random.
 Rng = np.random.Generator | None
 Forward = Callable[[Signals, FloatArray, Memory, Rng], Signals]
-Slopes = Callable[[Signals, FloatArray], FloatArray]
 Change = Callable[[FloatArray, FloatArray], FloatArray]
 
 
@@ -195,8 +194,6 @@ class Effect:
         free: which parameters a recording can tell at all (default: all).
         affine: True for a linear map plus offset of the field in body axes.
         sitl: the parameters of ArduPilot's simulator for a fitted setting.
-        slopes: the derivatives of the compass's reading by the parameters, (N, 3, k), in closed form; None
-            where differences must do.
         limits: how far a recording lets the parameters go (lower, upper), where that is less than the
             physical range.
         detector: what shows it by itself, beside or instead of a search over sets.
@@ -219,7 +216,6 @@ class Effect:
     free: Freedom | None = None
     affine: bool = False
     sitl: Export | None = None
-    slopes: Slopes | None = None
     limits: Limits | None = None
     enough: tuple[Group, ...] = ()
     detector: Detector | None = None

@@ -12,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavcompass.frames import FloatArray, euler_to_matrix, quaternion_to_matrix, rotate_back
-from mavcompass.gap.attitude import scatter
 from mavcompass.gap.attitude.kinematics import integral
 from mavcompass.gap.attitude.reference import Reference, body_rate, reference_attitude
 from mavcompass.gap.attitude.scatter import white_floor, white_scatter
@@ -414,41 +413,3 @@ def test_turn_is_remembered_as_long_as_a_filter_remembers() -> None:
     grown = 0.3 * memories * (1.0 - np.exp(-np.minimum(t, 20.0)[:, None] / memories))
     fading = np.exp(-np.maximum(t - 20.0, 0.0)[:, None] / memories)
     np.testing.assert_allclose(remembered, grown * fading, atol=2e-5)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_what_turns_between_two_samples_is_doubted(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A copter shakes as it leans, faster than ten samples a second tell: what they add up to is chance's."""
-    rng = np.random.default_rng(seed)
-    fine = np.arange(0.0, 120.0, 0.005)
-    shaken = np.zeros_like(fine)
-    for start in np.cumsum(rng.uniform(5.0, 9.0, 14)):
-        burst = (fine > start) & (fine < start + 2.0)
-        turns = np.cumsum(rng.normal(12.0, 60.0, fine.size) * burst) * 0.005
-        shaken += 0.05 * burst * np.sin(2.0 * np.pi * turns)
-    pitch = np.cumsum(shaken) * 0.005
-    north = np.cumsum(-STANDARD_GRAVITY_MPS2 * np.tan(pitch)) * 0.005
-    still, seen = np.zeros_like(fine), slice(None, None, 20)
-    force = np.stack([still, still, -STANDARD_GRAVITY_MPS2 / np.cos(pitch)], axis=1)
-    t = fine[seen]
-    rate = np.stack([still, shaken, still], axis=1)[seen] + rng.normal(0.0, 1e-3, (t.size, 3))
-    track = Track(
-        compasses={1: MagSeries(1, Series.of(t, np.tile([200.0, 0.0, 400.0], (t.size, 1))))},
-        gyro_radps=Series.of(t, rate),
-        acc_mps2=Series.of(t, force[seen] + rng.normal(0.0, 0.05, (t.size, 3))),
-        gps_velocity_mps=Series.of(
-            t, np.stack([north, still, still], axis=1)[seen] + rng.normal(0.0, 0.03, (t.size, 3))
-        ),
-    )
-
-    def off_and_in_sigmas() -> tuple[float, float]:
-        reference = reference_attitude(track, t)
-        off = np.arcsin(np.clip(-reference.rotation[:, 2, 0], -1.0, 1.0)) - pitch[seen]
-        doubt = np.sqrt(np.sum(reference.curves_rad[:, 1] ** 2, axis=1) + reference.rest_rad2[1, 1])
-        return math.sqrt(np.mean(off**2)), math.sqrt(np.mean((off / doubt) ** 2))
-
-    off, in_sigmas = off_and_in_sigmas()
-    monkeypatch.setattr(scatter, "_MISSED", 0.0)
-    believed, in_their_sigmas = off_and_in_sigmas()
-    assert in_sigmas < 1.6 and in_sigmas < 0.85 * in_their_sigmas
-    assert off < 0.9 * believed

@@ -9,8 +9,7 @@ import pytest
 from mavcompass.chance import wilson
 from mavcompass.errors import UsageError
 from mavcompass.gap.trial.cases import Label, Tier
-from mavcompass.gap.trial.score import Answer, Case, score
-from mavcompass.gap.trial.trial import run_trial, untold
+from mavcompass.gap.trial.trial import Answer, Case, run_trial, score, untold
 from mavcompass.gap.trial.vehicles import make_case
 
 

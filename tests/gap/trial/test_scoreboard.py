@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from mavcompass.gap.trial.cases import Label, Tier
-from mavcompass.gap.trial.score import Answer, Case, scoreboard
-from mavcompass.gap.trial.trial import Trial
+from mavcompass.gap.trial.trial import Answer, Case, Trial, scoreboard
 from mavcompass.report.gap import reliability, write_trial_report
 
 TRUTH = ("hard_iron:x=9",)

@@ -5,20 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.simulation.effects.effect import Effect, Signals, Stage, axes, on_iron, on_mag
+from mavcompass.simulation.effects.effect import Effect, Stage, axes, on_iron, on_mag
 from mavcompass.simulation.effects.rotations import rotation_vector_matrix
 
 
 def _soft_iron(field: FloatArray, theta: FloatArray) -> FloatArray:
     xx, yy, zz, xy, xz, yz = theta
     return field @ np.array([[1.0 + xx, xy, xz], [xy, 1.0 + yy, yz], [xz, yz, 1.0 + zz]])
-
-
-def _soft_iron_slopes(signals: Signals, theta: FloatArray) -> FloatArray:
-    x, y, z = signals.reading.mag_mgauss.T
-    none = np.zeros_like(x)
-    rows = [[x, none, none, y, z, none], [none, y, none, x, none, z], [none, none, z, none, x, y]]
-    return np.array(rows).transpose(2, 0, 1)
 
 
 def _non_orthogonality(field: FloatArray, theta: FloatArray) -> FloatArray:
@@ -33,7 +26,6 @@ EFFECTS = (
         stage=Stage.FIELD,
         parameters=axes(-1500.0, 1500.0, (60.0, -40.0, 20.0), 30.0, "mG"),
         forward=on_mag(lambda field, theta: field + theta),
-        slopes=lambda signals, theta: np.broadcast_to(np.eye(3), (len(signals.reading.mag_mgauss), 3, 3)),
         needs=frozenset({"turning"}),
         aliases=("hard_iron_step", "temperature_bias", "motor_current"),
         separated_by="turn through all headings, and tilt for the vertical part",
@@ -49,7 +41,6 @@ EFFECTS = (
             *axes(-0.3, 0.3, (0.04, -0.02, 0.03), 0.03, "1", ("xy", "xz", "yz")),
         ),
         forward=on_mag(_soft_iron),
-        slopes=_soft_iron_slopes,
         needs=frozenset({"turning", "tilt"}),
         aliases=("axis_scale", "non_orthogonality"),
         separated_by="tumble through all attitudes",
