@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from mavcompass.gap.answer.evidence import Evidence, above, figures, statistics, yaw_wander_deg
 from mavcompass.gap.fit.hypothesis import Fit
 from mavcompass.gap.result import Closing, Verdict
-from mavcompass.gap.tables import Kind, Levels, Outcome, tables
+from mavcompass.gap.tables import Levels, Outcome, tables
 
 Sets = tuple[tuple[frozenset[str], float], ...]
 
@@ -98,6 +98,8 @@ def decide(evidence: Evidence) -> Answer:
     # What single readings show and no name is for is no silence.
     shown = silent and bool(evidence.traces.unexplained)
     turns = bool(evidence.replay.present & {"turning", "tilt"}) or floor.measured
+    # An exact floor is judged in detail instead.
+    lifted = known.kind != "exact" and any(above(c, c.after) for c in (field, heading))
     said = verdict(
         Findings(
             found=known.found,
@@ -107,7 +109,7 @@ def decide(evidence: Evidence) -> Answer:
             p_fit=healthy.p_of_fit(known.kind, known.values),
             outcomes=outcomes,
             shared=bool(fit.ids & evidence.half_testable),
-            above=shown or wander_deg > 0.0 or _lifted(known.kind, field, heading),
+            above=shown or wander_deg > 0.0 or lifted,
             testable=turns and (floor.measured or heading.floor < table.levels.coarsest_deg),
         ),
         table.levels,
@@ -122,11 +124,6 @@ def decide(evidence: Evidence) -> Answer:
         sets = ((none.ids, 1.0 - outcomes["unknown"]),)
         return Answer("named_with_remainder", none, *both, sets, where)
     return Answer(said, none, *alone, _told([one for one in known_sets if one[0]]), where)
-
-
-def _lifted(kind: Kind, field: Closing, heading: Closing) -> bool:
-    """Tell whether something lies above a floor; an exact one is judged in detail instead."""
-    return kind != "exact" and any(above(c, c.after) for c in (field, heading))
 
 
 def _told(sets: Sequence[tuple[frozenset[str], float]]) -> Sets:

@@ -187,9 +187,7 @@ def channels(problem: Problem, fit: Fit) -> dict[str, FloatArray]:
         for axis, letter in enumerate("xyz"):
             out[f"{group}_{letter}"] = error[rows, axis] / problem.noise[group].rms[axis]
     heading = heading_error_rad(problem.replay, problem.replay.measured.mag_mgauss, nominal.mag_mgauss)
-    field = problem.replay.signals.stimulus.field_ned_mgauss[0]
-    sigma = float(np.mean(problem.noise["mag"].rms)) / max(float(np.hypot(field[0], field[1])), 1.0)
-    out["heading"] = heading[rows] / sigma
+    out["heading"] = heading[rows] * level_mgauss(problem.replay) / float(np.mean(problem.noise["mag"].rms))
     return out
 
 

@@ -48,14 +48,6 @@ class Reduced:
             found = one.backward(found, odd)
         return found
 
-    def products(self, right: FloatArray) -> FloatArray:
-        """Return right' A^-1 right of right hand sides (K, n, C), (C, C)."""
-        total = np.zeros((right.shape[2], right.shape[2]))
-        for one in self._rounds:
-            total += _product(one.inverse, right[1::2])
-            right = one.forward(right)
-        return total + _product(self._last, right)
-
 
 class _Round:
     """Eliminate every other state, those of odd number.
@@ -96,14 +88,6 @@ class _Round:
         return out
 
 
-def _product(inverse: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the sum over states of right' inverse right, of (M, n, n) and (M, n, C): (C, C)."""
-    some = right.any(axis=(1, 2))
-    inside = right[some]
-    width = right.shape[2]
-    return np.asarray(inside.reshape(-1, width).T @ (inverse[some] @ inside).reshape(-1, width))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Solved:
     """Hold the solution of a chain.
@@ -120,13 +104,8 @@ class Solved:
 
     def covariance(self, which: NDArray[np.int64], count: int) -> FloatArray:
         """Return the joint covariance of the first elements of some states (M,), (M count, M count)."""
-        length, width = self.states.shape
-        rows = (which[:, None] * width + np.arange(count)).ravel()
-        unit = np.zeros((length * width, rows.size))
-        unit[rows, np.arange(rows.size)] = 1.0
-        bent = self._bent[rows]
-        alone = self._reduced.products(unit.reshape(length, width, rows.size))
-        return np.asarray(alone + bent @ self.constants_covariance @ bent.T)
+        sums = np.eye(which.size * count).reshape(which.size, count, -1)
+        return self.covariance_with(which, sums)[which, :count].reshape(which.size * count, -1)
 
     def covariance_with(self, which: NDArray[np.int64], sums: FloatArray) -> FloatArray:
         """Return the covariance of all states with sums of the first elements of some, (K, n, k).

@@ -101,32 +101,11 @@ def with_down(clock: FloatArray, rate: FloatArray, down: FloatArray) -> FloatArr
 
 def rotation_vectors(rotations: FloatArray) -> FloatArray:
     """Return the rotation vectors (N, 3) of rotations (N, 3, 3): the inverse of `exponentials`."""
-    return _vectors([[rotations[:, i, j] for j in range(3)] for i in range(3)])
-
-
-def turned_between(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the rotation vectors (N, 3) of first^T second."""
-    # Only the antisymmetric part and the trace of the product are needed.
-    return _vectors(
-        [[np.einsum("ni,ni->n", first[:, :, i], second[:, :, j]) for j in range(3)] for i in range(3)]
-    )
-
-
-def _vectors(p: list[list[FloatArray]]) -> FloatArray:
-    axis = 0.5 * np.stack([p[2][1] - p[1][2], p[0][2] - p[2][0], p[1][0] - p[0][1]], axis=1)
+    axis = 0.5 * (rotations[:, [2, 0, 1], [1, 2, 0]] - rotations[:, [1, 2, 0], [2, 0, 1]])
     sine = np.sqrt(np.einsum("ni,ni->n", axis, axis))
-    angle = np.arctan2(sine, 0.5 * (p[0][0] + p[1][1] + p[2][2] - 1.0))
+    angle = np.arctan2(sine, 0.5 * (np.einsum("nii->n", rotations) - 1.0))
     factor = np.where(sine > 1e-9, angle / np.where(sine > 1e-9, sine, 1.0), 1.0)
     return np.asarray(axis * factor[:, None])
-
-
-def turned_about_down(rotation: FloatArray, angle: FloatArray) -> FloatArray:
-    """Turn rotations (N, 3, 3) to world axes by angles (N,) about the vertical."""
-    c, d = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    out = rotation.copy()
-    out[:, 0] = c * rotation[:, 0] - d * rotation[:, 1]
-    out[:, 1] = d * rotation[:, 0] + c * rotation[:, 1]
-    return out
 
 
 def carried(clock: FloatArray, rotation: FloatArray, rate: FloatArray, time_s: FloatArray) -> FloatArray:

@@ -7,18 +7,17 @@ moves.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, euler_to_matrix
 from mavcompass.gap.attitude.chain import Solved
 from mavcompass.gap.attitude.kinematics import (
     exponentials,
     integrated,
     interpolated,
-    turned_about_down,
     with_down,
 )
 from mavcompass.gap.attitude.receiver import Velocity, triangle_means
@@ -143,19 +142,25 @@ def faulty(bias: Bias) -> Bias:
     return Bias(bias.mean, np.maximum(bias.sigma, _FAULTY_RADPS))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Doubt:
-    """Hold what an attitude may be off by, as `Reference` tells it at the same times (N,).
+    """Hold what an attitude may be off by, at some times (M,); rotation vectors are in world axes.
 
-    Rotation vectors are in world axes: `with_yaw` (N, 3) per radian of the yaw's constant, `curves_rad`
-    (N, 3, k) of standard normal amplitudes; `rest_rad2` is (3, 3).
+    Attributes:
+        yaw_sigma_rad: a priori standard deviation of a constant yaw error (0: none is solved for).
+        with_yaw: what else turns with that constant, per radian, (M, 3) or (1, 3): a yaw that is off turns
+            what the receiver says of the acceleration, and so the level.
+        curves_rad: what else it may be off by, (M, 3, k), the largest first: each curve has a standard normal
+            amplitude.
+        rest_rad2: covariance of what no curve holds, mean over time, (3, 3).
+        tilt_sigma_rad: what roll and pitch show themselves to be off by; 0 where nothing tells.
     """
 
-    yaw_sigma_rad: float
-    with_yaw: FloatArray
-    curves_rad: FloatArray
-    rest_rad2: FloatArray
-    tilt_sigma_rad: float
+    yaw_sigma_rad: float = 0.0
+    with_yaw: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
+    curves_rad: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 0)))
+    rest_rad2: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    tilt_sigma_rad: float = 0.0
 
 
 def doubt_of(smoothed: Smoothed, time_s: FloatArray, told: bool, healthy: bool) -> Doubt:
@@ -258,7 +263,7 @@ def started(
     if velocity is not None:
         bearing = velocity.bearing(data.time_s, rotation, data.force_mps2, absorbed_s)
     if bearing is not None:
-        rotation = turned_about_down(rotation, -bearing)
+        rotation = euler_to_matrix(0.0, 0.0, -bearing) @ rotation
     return rotation, bearing is not None
 
 

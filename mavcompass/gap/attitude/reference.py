@@ -11,7 +11,7 @@ recorded too slowly.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Literal
 
 import numpy as np
@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, matrix_to_euler, quaternion_to_matrix
-from mavcompass.gap.attitude.kinematics import carried, turned_about_down, turned_between
+from mavcompass.gap.attitude.kinematics import carried, rotation_vectors
 from mavcompass.gap.attitude.navigation import (
     FAULTY_SCALE,
+    Doubt,
     believable,
     doubt_of,
     faulty,
@@ -58,21 +59,14 @@ _REMEDY = "Record RAW_IMU or IMU messages at 10 Hz or more, or an attitude (ATTI
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reference:
+class Reference(Doubt):
     """Hold the believed attitude at the times of the magnetometer's readings.
 
     Attributes:
         kind: where it comes from.
         rotation: body to NED, (N, 3, 3); rate_radps: its body rate, (N, 3).
         known: where there is one, (N,).
-        yaw_sigma_rad: a priori standard deviation of a constant yaw error (0: none is solved for).
-        doubted: the times, of all (N,), at which the two that follow stand, (M,).
-        with_yaw: what else turns with that constant, per radian, rotation vectors in world axes, (M, 3) or
-            (1, 3): a yaw that is off turns what the receiver says of the acceleration, and so the level.
-        curves_rad: what else it may be off by, rotation vectors in world axes, (M, 3, k), the largest first:
-            each curve has a standard normal amplitude.
-        rest_rad2: covariance of what no curve holds, about the world's axes, mean over time, (3, 3).
-        tilt_sigma_rad: what roll and pitch show themselves to be off by; 0 where nothing tells.
+        doubted: the times, of all (N,), at which its doubt stands, (M,).
         gyro_bias: what the gyro says when nothing turns; None where that was not estimated. gyro_scale: by
             which share of a turn it is off.
         witnessed: whether anything but the compass under test tells the yaw.
@@ -83,12 +77,7 @@ class Reference:
     rotation: FloatArray
     rate_radps: FloatArray
     known: NDArray[np.bool_]
-    yaw_sigma_rad: float = 0.0
     doubted: slice = field(default_factory=lambda: _EVERY)
-    with_yaw: FloatArray = field(default_factory=lambda: np.zeros((1, 3)))
-    curves_rad: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 0)))
-    rest_rad2: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
-    tilt_sigma_rad: float = 0.0
     gyro_bias: Bias | None = None
     gyro_scale: Bias | None = None
     witnessed: bool = True
@@ -195,12 +184,12 @@ def body_rate(time_s: FloatArray, rotation: FloatArray) -> FloatArray:
     n = len(rotation)
     if n < 5:
         return np.zeros((n, 3))
-    near = turned_between(rotation[:-1], rotation[1:]) / np.diff(time_s)[:, None]
+    near = rotation_vectors(rotation[:-1].transpose(0, 2, 1) @ rotation[1:]) / np.diff(time_s)[:, None]
     rate = np.vstack([near[:1], 0.5 * (near[:-1] + near[1:]), near[-1:]])
     step = np.diff(time_s)
     even = np.ptp(np.stack([step[:-3], step[1:-2], step[2:-1], step[3:]]), axis=0) < 0.05 * step[1:-2]
-    middle = rotation[2:-2]
-    vectors = [turned_between(middle, rotation[2 + j : n - 2 + j]) for j in (-2, -1, 1, 2)]
+    middle = rotation[2:-2].transpose(0, 2, 1)
+    vectors = [rotation_vectors(middle @ rotation[2 + j : n - 2 + j]) for j in (-2, -1, 1, 2)]
     span = (time_s[4:] - time_s[:-4])[:, None] / 4.0
     fine = (8.0 * (vectors[2] - vectors[1]) - (vectors[3] - vectors[0])) / (12.0 * span)
     rate[2:-2] = np.where(even[:, None], fine, rate[2:-2])
@@ -234,7 +223,8 @@ def _fused(
     witness = None
     if antennas is not None:
         leaning = rotation if level is None else level
-        witness = Witness(_facing(leaning, antennas), _ANTENNAS_RAD, _ANTENNAS_SLOW_RAD)
+        facing = euler_to_matrix(0.0, 0.0, antennas - matrix_to_euler(leaning)[2]) @ leaning
+        witness = Witness(facing, _ANTENNAS_RAD, _ANTENNAS_SLOW_RAD)
         told.append("the two-antenna receiver")
     elif level is not None:
         steered = steered_by(track, instance) == "other"
@@ -262,11 +252,7 @@ def _fused(
         carried(clock, smoothed.rotation, smoothed.rate_radps, time_s),
         at_times(clock, smoothed.rate_radps, time_s),
         _near(clock, time_s, 3.0 * float(np.median(np.diff(clock)))),
-        yaw_sigma_rad=doubt.yaw_sigma_rad,
-        with_yaw=doubt.with_yaw,
-        curves_rad=doubt.curves_rad,
-        rest_rad2=doubt.rest_rad2,
-        tilt_sigma_rad=doubt.tilt_sigma_rad,
+        **{one.name: getattr(doubt, one.name) for one in fields(doubt)},
         gyro_bias=smoothed.gyro_bias,
         gyro_scale=smoothed.gyro_scale,
         witnessed=bool(told),
@@ -309,11 +295,6 @@ def _antennas_yaw(track: Track, clock: FloatArray, rotation: FloatArray) -> Floa
     turned = np.unwrap(matrix_to_euler(rotation)[2])
     ahead: FloatArray = np.interp(clock, heard_s, np.unwrap(told - np.interp(heard_s, clock, turned)))
     return turned + ahead
-
-
-def _facing(rotation: FloatArray, yaw: FloatArray) -> FloatArray:
-    """Turn rotations (N, 3, 3) about the vertical to yaws (N,)."""
-    return turned_about_down(rotation, yaw - matrix_to_euler(rotation)[2])
 
 
 def _attitude(track: Track, time_s: FloatArray, instance: int, doubted: slice) -> Reference | None:

@@ -99,7 +99,7 @@ def _parts(clock: FloatArray, stretch: slice) -> list[slice]:
 
 def _still(clock: FloatArray, rate: FloatArray, acc: FloatArray) -> NDArray[np.bool_]:
     width = max(3, int(_SMOOTHING_S / max(float(np.median(np.diff(clock))), 1e-3)))
-    smooth, force = _smoothed(rate, width), _smoothed(acc, width)
+    smooth, force = smoothed(rate, width), smoothed(acc, width)
     slow = np.abs(smooth).max(axis=1) < _LARGEST_RADPS
     if not slow.any():
         return slow
@@ -112,6 +112,7 @@ def _still(clock: FloatArray, rate: FloatArray, acc: FloatArray) -> NDArray[np.b
     return np.asarray(still & (change < _SAME_FORCE_MPS2))
 
 
-def _smoothed(values: FloatArray, width: int) -> FloatArray:
+def smoothed(values: FloatArray, width: int) -> FloatArray:
+    """Return centred means of columns (N, 3) over some rows; beyond the ends is nothing."""
     kernel = np.ones(width) / width
     return np.stack([np.convolve(values[:, i], kernel, mode="same") for i in range(3)], axis=1)

@@ -14,9 +14,10 @@ from typing import Literal
 
 import numpy as np
 
+from mavcompass.chance import chance_above, chi_square_of
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
-from mavcompass.gap.attitude.kinematics import integral, turned_about_down
-from mavcompass.gap.attitude.scatter import Bias
+from mavcompass.gap.attitude.kinematics import integral
+from mavcompass.gap.attitude.scatter import Bias, smoothed
 from mavcompass.gap.result import Cause
 from mavcompass.simulation.effects import detected_by
 from mavcompass.simulation.effects.effect import Detector
@@ -29,7 +30,7 @@ Steering = Literal["own", "other", "unknown"]
 # How long a filter remembers what a turn has made of its yaw: one of these about, none tells.
 TURN_MEMORIES_S = np.array([2.0, 8.0, 32.0])
 # Three axes together, in squared sigmas: as improbable as six sigmas on one of three.
-_IMPROBABLE = 41.2
+_IMPROBABLE = chi_square_of(6.0 * chance_above(6.0), 3)
 _FEWEST, _BLOCKS = 200, 12
 _SMOOTHED_S = 0.5
 _OF_ACCELERATION = 0.02
@@ -127,7 +128,7 @@ def _by_gyro(track: Track, when: FloatArray, told: FloatArray) -> FloatArray:
     yaw = np.unwrap(np.arctan2(told[:, 1, 0], told[:, 0, 0]))
     ahead = yaw - integral(when, rate)[:, 2]
     since = when - when.mean()
-    return turned_about_down(told, np.polyval(np.polyfit(since, ahead, 1), since) - ahead)
+    return euler_to_matrix(0.0, 0.0, np.polyval(np.polyfit(since, ahead, 1), since) - ahead) @ told
 
 
 def _acceleration(track: Track, when: FloatArray) -> FloatArray | None:
@@ -136,10 +137,7 @@ def _acceleration(track: Track, when: FloatArray) -> FloatArray | None:
     if velocity is None or len(velocity) < _FEWEST // 4:
         return None
     width = max(1, round(_SMOOTHED_S / max(float(np.median(np.diff(when))), 1e-3)))
-    kernel = np.ones(width) / width
-    smooth = np.stack(
-        [np.convolve(v, kernel, mode="same") for v in np.nan_to_num(velocity.at(when)).T], axis=1
-    )
+    smooth = smoothed(np.nan_to_num(velocity.at(when)), width)
     out = np.gradient(smooth, when, axis=0)
     out[: 2 * width] = out[-2 * width :] = 0.0
     return np.asarray(out)

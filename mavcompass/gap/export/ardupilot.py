@@ -61,20 +61,14 @@ class Affine:
         ]
 
 
-NOTHING = Affine(np.eye(3), np.zeros(3), 0.0)
-
-
 def affine_of(found: Found) -> tuple[Affine, dict[str, float]]:
     """Compose all affine effects; return also the parameters of the simulator."""
     affine = [s for s in found.settings if s.effect.affine]
-    parameters: dict[str, float] = {}
-    composed = NOTHING
-    if affine:
-        matrix, offset = affine_map(affine)
-        u, sizes, vt = np.linalg.svd(matrix)
-        angle = math.acos(float(np.clip((np.trace(u @ vt) - 1.0) / 2.0, -1.0, 1.0)))
-        composed = Affine(u @ np.diag(sizes) @ u.T, offset, angle)
-        parameters = composed.parameters()
+    matrix, offset = affine_map(affine)
+    u, sizes, vt = np.linalg.svd(matrix)
+    angle = math.acos(float(np.clip((np.trace(u @ vt) - 1.0) / 2.0, -1.0, 1.0)))
+    composed = Affine(u @ np.diag(sizes) @ u.T, offset, angle)
+    parameters = composed.parameters() if affine else {}
     for setting in found.settings:
         parameters |= setting.effect.sitl(setting.values) if setting.effect.sitl is not None else {}
     return composed, parameters

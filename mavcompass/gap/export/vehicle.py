@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from mavcompass.chance import chi_square_of
 from mavcompass.frames import FloatArray
 from mavcompass.gap.replay.nuisance import calibration_in_force, known_iron
 from mavcompass.gap.result import FIELD, MOTOR, Belief, Cause, Diagnosis
@@ -17,8 +18,6 @@ from mavcompass.simulation.physics.signals import Reading, Stimulus
 from mavcompass.track import Track
 
 _ROTATION_LEFT_OUT_RAD = math.radians(0.05)
-# Beyond this a vector of three differs from zero: chi^2 of three, 95 %.
-_DIFFERS = 7.81
 # What such effects do, a baseline does not teach.
 _OF_PLACES = frozenset({"position", "height"})
 _OWN_MATRIX = 1e-3
@@ -65,7 +64,7 @@ def _is_known(motor_mgauss: FloatArray, beliefs: Sequence[Belief]) -> bool:
     if not beliefs:
         return True
     covariance = max(beliefs, key=lambda belief: belief.weight).covariance[MOTOR, MOTOR]
-    return float(motor_mgauss @ np.linalg.pinv(covariance) @ motor_mgauss) > _DIFFERS
+    return float(motor_mgauss @ np.linalg.pinv(covariance) @ motor_mgauss) > chi_square_of(0.05, 3)
 
 
 def follows_places(diagnosis: Diagnosis) -> bool:

@@ -21,7 +21,7 @@ from mavcompass.frames import FloatArray
 
 # How often what leaves its room is looked for again.
 _ACTIVE = 3
-_RIDGE = 1e-9
+RIDGE = 1e-9
 # Columns shorter than this change nothing.
 _NOTHING = 1e-9
 
@@ -157,7 +157,7 @@ class BlockNormal:
         total[:nuisances, :nuisances] += precision / np.outer(scale, scale)
         self._right[:nuisances] += precision @ offset / scale
         n = nuisances
-        total[np.diag_indices_from(total)] += _RIDGE
+        total[np.diag_indices_from(total)] += RIDGE
         place = np.arange(n, len(total))
         total[place, place] += (usual * self.size[n:]) ** -2.0
         self._total = total

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit.algebra import BlockNormal
+from mavcompass.gap.fit.algebra import RIDGE, BlockNormal, solve
 from mavcompass.gap.fit.hypothesis import Fit, Term, active_dimension, placements
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.replay.noise import group_values
@@ -166,10 +166,7 @@ class Candidates:
         if shift is not None and shift.any():
             left, solved = shift, np.zeros(own.shape[1])
             if own.shape[1]:
-                normal = own.T @ own
-                size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-                scaled = normal / np.outer(size, size) + 1e-9 * np.eye(size.size)
-                solved = np.linalg.solve(scaled, own.T @ left / size) / size
+                solved = solve(own.T @ own, own.T @ left, RIDGE)
                 left = left - own @ solved
             shifted = float(left @ left) > _OWN_SHARE * float(shift @ shift)
             if not shifted and own.shape[1]:
@@ -204,12 +201,6 @@ class Candidates:
             nuisances.append(np.clip(moved, nuisance.effect.lower, nuisance.effect.upper))
             at += theta.size
         return Fit((*held.terms, *(c.term for c in chosen)), tuple(thetas), tuple(nuisances), np.inf)
-
-    def contradiction(self, chosen: Sequence[Candidate], of: Sequence[Candidate]) -> float:
-        """Return by how much blocks contradict each other about some members of a set, 1 where they do
-        not."""
-        own = np.concatenate([c.columns for c in chosen])
-        return self.normal.contradiction(own, np.concatenate([c.columns for c in of]))
 
 
 _BLOCK_S, _MOST_BLOCKS = 5.0, 30
@@ -266,9 +257,11 @@ class Criteria:
         key = (more, larger.ids, larger.sse)
         if key not in self._contradictions:
             candidates = Candidates(self._problem, (), larger, self.blocks())
-            members = candidates.list
-            of = [c for c in members if c.term.effect.id in more]
-            self._contradictions[key] = candidates.contradiction(members, of) if of else 1.0
+            of = [c.columns for c in candidates.list if c.term.effect.id in more]
+            own = np.concatenate([c.columns for c in candidates.list])
+            self._contradictions[key] = (
+                candidates.normal.contradiction(own, np.concatenate(of)) if of else 1.0
+            )
         return self._contradictions[key]
 
     def blocks(self) -> NDArray[np.int64]:

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray, euler_to_matrix
-from mavcompass.gap.attitude.kinematics import cross_matrices
 from mavcompass.gap.attitude.reference import Reference
 from mavcompass.gap.fit.hypothesis import Term
 from mavcompass.gap.replay.noise import group_values
@@ -236,23 +235,10 @@ class _After:
         """Return what members from `at` on make of changes of the compass (N, 3, k)."""
         return mag_mgauss if at == len(self._order) else np.asarray(self._matrix(at) @ mag_mgauss)
 
-    def of_readings(self, at: int, mag_mgauss: FloatArray) -> Changes:
-        """Return the changes when the compass's reading before member `at` alone is changed, (N, 3, k)."""
-        none = {g: np.zeros_like(mag_mgauss) for g in self.groups if g != "mag"}
-        return none | {"mag": self.through(at, mag_mgauss)}
-
     def turned(self, at: int) -> Changes:
-        """Return the changes by the attitude before member `at`, per turn about each of the world's axes."""
-        first, count = at, len(self._order)
-        while first < count and self._order[first][0].stage is Stage.WORLD:
-            first += 1
-        if not self.by_itself(first):
-            # What comes after asks for more of the attitude than how it turns the field.
-            by_axis = self.changes(at, _nudged(self._states[at]), [_NUDGE_RAD] * 3)
-            return self.of_readings(count, by_axis["mag"])
-        s = self._states[first].stimulus
-        # R exp(v x) sees B as R' (B + B x v).
-        return self.of_readings(first, s.rotation.transpose(0, 2, 1) @ cross_matrices(s.field_ned_mgauss))
+        """Return the compass's changes by the attitude before member `at`, per turn about each world axis."""
+        by_axis = self.changes(at, _nudged(self._states[at]), [_NUDGE_RAD] * 3)
+        return {g: values if g == "mag" else np.zeros_like(values) for g, values in by_axis.items()}
 
     def _matrix(self, at: int) -> FloatArray:
         """Return the derivative of the prediction by the compass's reading before member `at`, (3, 3) or

@@ -91,9 +91,8 @@ class Problem:
 
     def predict(self, fit: Fit, effects: bool = True) -> Reading:
         """Return what the simulation says under a hypothesis, or under its nuisances alone."""
-        terms = fit.terms if effects else ()
-        thetas = fit.thetas if effects else ()
-        return self.composition.states(terms, thetas, fit.nuisance_thetas)[-1].reading
+        known = fit if effects else Fit((), (), fit.nuisance_thetas, np.inf)
+        return self.signals(known).reading
 
     def signals(self, fit: Fit) -> Signals:
         """Return the simulated signals under a hypothesis."""
@@ -150,23 +149,8 @@ class Problem:
         """Return changes of the prediction as whitened columns, one for each; rows as in `residual`."""
         if not changes:
             return np.zeros((self.index.size * 3 * len(self.groups), 0))
-        parts = []
-        for g in self.groups:
-            values = changes[g]
-            some = np.flatnonzero(values.any(axis=(0, 1)))
-            if some.size == values.shape[2]:
-                parts.append(self._whitened(g, values))
-                continue
-            out = np.zeros((self.index.size * 3, values.shape[2]))
-            if some.size:
-                out[:, some] = self._whitened(g, values[:, :, some])
-            parts.append(out)
-        return parts[0] if len(parts) == 1 else np.concatenate(parts)
-
-    def _whitened(self, group: Group, values: FloatArray) -> FloatArray:
-        """Return changes of one sensor (N, 3, k) whitened, on the fitted rows, (3 n, k)."""
-        white = self.noise[group].whiten_many(self._bridged(values))[self.index]
-        return np.asarray(white.reshape(-1, values.shape[2]))
+        white = (self.noise[g].whiten_many(self._bridged(changes[g])) for g in self.groups)
+        return np.concatenate([values[self.index].reshape(-1, values.shape[2]) for values in white])
 
     def lasting_covariance(self, fit: Fit) -> FloatArray:
         """Return the covariance of a fit's nuisances and free parameters where errors last for seconds.
@@ -231,7 +215,9 @@ class Problem:
         free = [self.composition.free(terms, i) for i in range(len(x))]
         if self._steady:
             free[:n] = [np.arange(0)] * n
-        weak, bounds = weak_precision(terms), self._bounds(terms)
+        weak = weak_precision(terms)
+        bounds = [(n.effect.lower, n.effect.upper) for n in self.nuisances]
+        bounds += [(t.lower, t.upper) for t in terms]
         states = self.composition.states(terms, x[n:], x[:n])
         r = self.residual(states[-1].reading)
         cost = self._cost(r, x, free, weak)
@@ -327,7 +313,3 @@ class Problem:
             return 0.0
         off = np.concatenate(list(thetas)) - self._prior
         return float(off @ self._precision @ off)
-
-    def _bounds(self, terms: Sequence[Term]) -> list[tuple[FloatArray, FloatArray]]:
-        known = [(n.effect.lower, n.effect.upper) for n in self.nuisances]
-        return [*known, *((t.lower, t.upper) for t in terms)]

@@ -221,14 +221,10 @@ def _line(z: FloatArray) -> float:
     return min(1.0, 2.0 * p)
 
 
-def _kurtosis_factor(z: FloatArray) -> float:
-    """Return the variance of z^2 over that of a Gaussian's, from the bulk of the sample."""
-    return max(float(np.mean(z**4) - 1.0) / 2.0, 1.0)
-
-
 def _variance_tests(group: Group, z: FloatArray, signals: Signals, problem: Problem) -> Iterator[Test]:
     power = (z**2).mean(axis=1) - 1.0
-    factor = _kurtosis_factor(z)
+    # The variance of z^2 over that of a Gaussian's, from the bulk of the sample.
+    factor = max(float(np.mean(z**4) - 1.0) / 2.0, 1.0)
     deviation = math.sqrt(2.0 * factor / 3.0)
     # Bursts: windows of half a second to eight seconds, each half overlapping the next.
     lowest, tried = 1.0, 0

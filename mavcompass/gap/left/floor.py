@@ -26,7 +26,7 @@ from mavcompass.gap.replay.noise import (
     wandering,
     white,
 )
-from mavcompass.gap.replay.nominal import Replay
+from mavcompass.gap.replay.nominal import Replay, level_mgauss
 from mavcompass.gap.replay.nuisance import STATED, Prior, Trust
 from mavcompass.gap.tables import Kind
 
@@ -218,7 +218,7 @@ def from_recording(replay: Replay) -> Floor:
     noise = first_noise(replay)
     scatter = noise["mag"].sigma
     world = replay.signals.stimulus.field_ned_mgauss[0]
-    total, level = float(np.linalg.norm(world)), max(float(np.hypot(world[0], world[1])), 1.0)
+    total, level = float(np.linalg.norm(world)), level_mgauss(replay)
     doubt = max(_REFERENCE_DOUBT_RAD[replay.reference.kind], replay.reference.tilt_sigma_rad)
     white_rms = math.sqrt(float(np.mean(scatter**2)))
     usual = white_rms if white_rms < WORST_SCATTER_MGAUSS else USUAL_SCATTER_MGAUSS
@@ -273,7 +273,11 @@ def foreseen(floor: Floor, replay: Replay, train: Mask, test: Mask) -> Floor:
     field_rest, heading_rest = _of_turns(
         replay.signals.stimulus.field_ned_mgauss[0], replay.reference.rest_rad2
     )
-    return _raised(floor, field_more + field_rest, heading_more + heading_rest)
+    return replace(
+        floor,
+        field_rms_mgauss=math.sqrt(floor.field_rms_mgauss**2 + field_more + field_rest),
+        heading_rms_deg=math.sqrt(floor.heading_rms_deg**2 + heading_more + heading_rest),
+    )
 
 
 def _unknown(problem: Problem, fit: Fit, test: Mask) -> tuple[float, float]:
@@ -290,14 +294,6 @@ def _unknown(problem: Problem, fit: Fit, test: Mask) -> tuple[float, float]:
         float(np.mean(np.einsum("np,pq,nq->n", J, covariance, J))) for J in (field, turned)
     )
     return field_more, heading_more
-
-
-def _raised(floor: Floor, field_more: float, heading_more: float) -> Floor:
-    return replace(
-        floor,
-        field_rms_mgauss=math.sqrt(floor.field_rms_mgauss**2 + field_more),
-        heading_rms_deg=math.sqrt(floor.heading_rms_deg**2 + heading_more),
-    )
 
 
 def _of_turns(field_mgauss: FloatArray, covariance_rad2: FloatArray) -> tuple[float, float]:

@@ -81,7 +81,7 @@ def find_scatter(
     # Correlation makes fewer independent squares.
     inflation = kurtosis * noise.square_inflation
     even, even_size = _even_gain(y)
-    late, late_size = _late_gain(y, x, 1.0)
+    late, late_size = _late_gain(y, x)
     candidates = []
     more, late_times = detected_by("scatter").id, detected_by("jitter").id
     representative = floor.representative
@@ -118,17 +118,13 @@ def _even_gain(y: FloatArray) -> tuple[float, float]:
     return y.size * (mean - 1.0 - math.log(max(mean, 1e-12))), mean - 1.0
 
 
-def _late_gain(y: FloatArray, x: FloatArray, base: float) -> tuple[float, float]:
-    """Maximise the likelihood of variances base + a x over a."""
-    sizes = np.exp(np.linspace(math.log(1e-7), math.log(0.04), 90))
-    gains = np.array([_log_ratio(y, x, base, float(a)) for a in sizes])
-    best = int(np.argmax(gains))
-    return float(gains[best]), float(sizes[best]) if gains[best] > 0.0 else 0.0
-
-
-def _log_ratio(y: FloatArray, x: FloatArray, base: float, a: float) -> float:
-    v = base + a * x
-    return float(np.sum(y / base - y / v - np.log(v / base)))
+def _late_gain(y: FloatArray, x: FloatArray) -> tuple[float, float]:
+    """Maximise the likelihood of variances 1 + a x over a; return its gain, and a."""
+    best = (0.0, 0.0)
+    for a in np.exp(np.linspace(math.log(1e-7), math.log(0.04), 90)).tolist():
+        v = 1.0 + a * x
+        best = max(best, (float(np.sum(y - y / v - np.log(v))), a))
+    return best
 
 
 def noise_with(problem: Problem, fit: Fit, scatter: Scatter) -> Noise:

@@ -76,7 +76,9 @@ def from_baseline(replay: Replay, baseline: Replay, effects: Collection[Effect])
     sharp = baseline.reference.kind == "columns"
     if sharp and judge(problem, fit, compare_scatter=False).p < _GAP_P:
         never = untestable_effects(baseline, effects).keys()
-        foldable = [e for e in effects if e.kind == "mean" and not _passes(e) and e.id not in never]
+        # What comes and goes, lines and limits, no baseline teaches.
+        lasting = (e for e in effects if not e.moves and {FREQUENCY, LIMIT}.isdisjoint(e.names))
+        foldable = [e for e in lasting if e.kind == "mean" and e.id not in never]
         for _ in range(2):
             fit = Search(problem, foldable).run(_MOST_FOLDED).best
             if not fit.terms:
@@ -115,11 +117,6 @@ def from_baseline(replay: Replay, baseline: Replay, effects: Collection[Effect])
         measured=True,
         trust=trust,
     )
-
-
-def _passes(effect: Effect) -> bool:
-    """Tell what no baseline teaches: what comes and goes, lines, limits."""
-    return effect.moves or FREQUENCY in effect.names or LIMIT in effect.names
 
 
 def _tuned(baseline: Replay) -> tuple[Trust | None, Problem, Fit]:
@@ -221,7 +218,11 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust:
             nuisance = replace(nuisance, mean=mean)
             source += range(first, first + theta.size)
             place += range(at, at + theta.size)
-        elif nuisance.effect.id == REFERENCE_YAW and theta.size and not _yaw_unknown(replay, baseline):
+        elif (
+            nuisance.effect.id == REFERENCE_YAW
+            and theta.size
+            and not (replay.reference.yaw_unknown or baseline.reference.yaw_unknown)
+        ):
             # A witness of the yaw is off by the same constant as it was in the baseline.
             mean, precision = nuisance.mean.copy(), nuisance.precision.copy()
             mean[0] = theta[0]
@@ -282,10 +283,6 @@ def _waiting_s(replay: Replay) -> float:
         return 0.0
     step = float(np.median(np.diff(fresh) - replay.trace.held_s[:-1]))
     return math.sqrt(max(step**2 / 6.0 - 2.0 * float(np.var(fresh - read)), 0.0))
-
-
-def _yaw_unknown(replay: Replay, baseline: Replay) -> bool:
-    return replay.reference.yaw_unknown or baseline.reference.yaw_unknown
 
 
 def _field_here(replay: Replay, baseline: Replay, theta: FloatArray) -> FloatArray:

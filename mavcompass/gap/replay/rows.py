@@ -140,7 +140,7 @@ def compass_rows(
     time_s = sent_s
     reported = compass.reported.values[keep]
     logged = inspect(reported, np.asarray(np.isfinite(reported).all(axis=1)), time_s, track.gyro_radps)
-    telemetry = track.autopilot != "unknown" or _slower_than_logged(reported)
+    telemetry = track.autopilot != "unknown" or _slower_than_logged(~logged.stale)
     restored = _restored(compass)
     raw = replace(track, compasses={compass.instance: restored}).raw_field(compass.instance)[keep]
     if telemetry:
@@ -149,7 +149,7 @@ def compass_rows(
         if step == 0.0:
             # A reading that is sent again says nothing new; one that is frozen for longer is a finding of its
             # own. Coarse numbers repeat by chance.
-            fresh = _fresh(reported)
+            fresh = ~logged.stale
             if fresh.sum() < FEWEST_NEW and fresh.size >= FEWEST_ROWS and logged.frozen:
                 # What says one thing as long as it is asked is frozen: that is the finding.
                 fresh = np.ones_like(fresh)
@@ -306,18 +306,13 @@ def swing(
     return found, late_s
 
 
-def _fresh(reported: FloatArray) -> NDArray[np.bool_]:
-    """Tell which readings (N, 3) are not the one before again."""
-    return np.concatenate([[True], (np.diff(reported, axis=0) != 0.0).any(axis=1)])
-
-
-def _slower_than_logged(reported: FloatArray) -> bool:
+def _slower_than_logged(is_fresh: NDArray[np.bool_]) -> bool:
     """Tell a compass that is read more slowly than it is logged: repeats in an even rhythm.
 
     Readings that are lost by chance repeat in runs of all lengths.
     """
-    fresh = np.flatnonzero(_fresh(reported))
-    if fresh.size < FEWEST_ROWS or fresh.size > (1.0 - _SLOWER_SHARE) * len(reported):
+    fresh = np.flatnonzero(is_fresh)
+    if fresh.size < FEWEST_ROWS or fresh.size > (1.0 - _SLOWER_SHARE) * is_fresh.size:
         return False
     gaps = np.diff(fresh)
     return float(gaps.std()) < _EVEN_RHYTHM * float(gaps.mean())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,7 +97,10 @@ def world_field(
                 np.array([_LOCAL_SIGMA_MGAUSS, earth.sigma_mgauss[1], _LOCAL_SIGMA_MGAUSS]),
                 (note,),
             )
-        return earth.vector_mgauss, _with_anomaly(earth.vector_mgauss, earth.sigma_mgauss, reference), ()
+        # Beside a laboratory's attitude what rocks and buildings add shows itself, and is judged as a cause.
+        share = 0.0 if reference.kind == "columns" else ANOMALY_SHARE
+        anomaly = share * float(np.linalg.norm(earth.vector_mgauss))
+        return earth.vector_mgauss, np.hypot(np.asarray(earth.sigma_mgauss), anomaly), ()
     rows = reference.known & np.isfinite(raw).all(axis=1)
     if not rows.any():
         raise BadRecording(
@@ -111,15 +113,6 @@ def world_field(
         " intensity, inclination and declination cannot be judged."
     )
     return field, np.full(3, UNKNOWN_SIGMA_MGAUSS), (note,)
-
-
-def _with_anomaly(field: FloatArray, sigma: Sequence[float], reference: Reference) -> FloatArray:
-    """Return the sigma of the world model with what rocks and buildings add to it.
-
-    Beside an independent attitude (a laboratory's) such an anomaly shows itself, and is judged as a cause.
-    """
-    anomaly = 0.0 if reference.kind == "columns" else ANOMALY_SHARE * float(np.linalg.norm(field))
-    return np.hypot(np.asarray(sigma), anomaly)
 
 
 def _measured_by_others(

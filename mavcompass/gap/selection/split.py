@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcompass.chance import chi_square_of
 from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude.scatter import MEDIAN_OF_SQUARES
 from mavcompass.gap.fit.hypothesis import Fit, Mask
@@ -47,7 +48,7 @@ def split_blocks(time_s: FloatArray, valid: Mask) -> Split:
     A regular pattern would fall into step with a procedure that turns and dwells in a fixed rhythm. Two
     neighbours would be too long to know the attitude between. Short recordings get shorter blocks.
     """
-    length = _block_s(time_s)
+    length = max(min(BLOCK_S, float(time_s[-1] - time_s[0]) / _FEWEST_BLOCKS), 1e-3)
     block = np.floor((time_s - time_s[0]) / length).astype(np.int64)
     count = int(block[-1]) + 1
     held = np.zeros(count, dtype=np.bool_)
@@ -58,7 +59,12 @@ def split_blocks(time_s: FloatArray, valid: Mask) -> Split:
             place += 1
         if place < count:
             held[place] = True
-    return _masks(time_s, valid, block, held, min(GUARD_S, length / 5.0))
+    test = held[block]
+    train = ~test
+    for edge in np.flatnonzero(np.diff(test.astype(np.int8))):
+        boundary = 0.5 * (time_s[edge] + time_s[edge + 1])
+        train &= ~((np.abs(time_s - boundary) < min(GUARD_S, length / 5.0)) & ~test)
+    return Split(block, held, train & valid, test & valid)
 
 
 def with_windows(split: Split, time_s: FloatArray, valid: Mask, moments_s: list[float]) -> Split:
@@ -89,20 +95,6 @@ def probe(split: Split, time_s: FloatArray, moment_s: float) -> float | None:
     return None
 
 
-def _block_s(time_s: FloatArray) -> float:
-    return max(min(BLOCK_S, float(time_s[-1] - time_s[0]) / _FEWEST_BLOCKS), 1e-3)
-
-
-def _masks(time_s: FloatArray, valid: Mask, block: NDArray[np.int64], held: Mask, guard_s: float) -> Split:
-    test = held[block]
-    train = ~test
-    edges = np.flatnonzero(np.diff(test.astype(np.int8)))
-    for edge in edges:
-        boundary = 0.5 * (time_s[edge] + time_s[edge + 1])
-        train &= ~((np.abs(time_s - boundary) < guard_s) & ~test)
-    return Split(block, held, train & valid, test & valid)
-
-
 _BIN_S = 0.25
 _LONGEST_S = 3.0
 # How much worse than the rest readings must fit, in mean squares, to be part of a change.
@@ -114,8 +106,6 @@ _SETTLED = 3.0
 # What is switched shows in single rows from so many deviations on. A row is off by this share of it, by
 # little more than all, and across it by less than half of that; a tenth of the rows at most.
 _SEEN_APART, _PART, _ALL, _ASIDE, _BY_CHANCE = 6.0, 0.25, 1.2, 0.5, 0.1
-# The median of a mean of three squares of standard normal values.
-_MEDIAN = 0.789
 
 
 def moments(fit: Fit, effect_id: str | None = None) -> list[float]:
@@ -145,7 +135,7 @@ def transients(problem: Problem, fit: Fit, when_s: Sequence[float]) -> Mask:
     aside = np.zeros(time.size, dtype=np.bool_)
     if not problem.usable.any():
         return aside
-    usual = float(np.nanmedian(power)) / _MEDIAN
+    usual = float(np.nanmedian(power)) / (chi_square_of(0.5, 3) / 3.0)
     width = max(_BIN_S, 4.0 * float(np.median(np.diff(time))))
     for moment in when_s:
         for side in (-1.0, 1.0):

@@ -10,8 +10,7 @@ import pytest
 
 from mavcompass.gap.fit.hypothesis import Fit, Term
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.fit.search import Search
-from mavcompass.gap.fit.starts import unbent
+from mavcompass.gap.fit.search import Search, unbent
 from mavcompass.gap.replay.nominal import replay
 from mavcompass.gap.replay.nuisance import AGE, WORLD_FIELD, Nuisance, Prior, reference_attitude_error
 from mavcompass.gap.trial.cases import CASE_NOISE, Recipe, make_track

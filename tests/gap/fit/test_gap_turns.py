@@ -7,7 +7,7 @@ import pytest
 
 from mavcompass.gap.fit.hypothesis import Fit, make_term
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.fit.starts import facing
+from mavcompass.gap.fit.search import facing
 from mavcompass.gap.replay.nominal import replay
 from mavcompass.gap.replay.nuisance import Prior
 from mavcompass.gap.trial.cases import CASE_NOISE, Recipe, make_track

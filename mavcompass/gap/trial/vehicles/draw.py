@@ -134,14 +134,15 @@ def draw_site(rng: np.random.Generator, utc_s: float, near: Site | None = None) 
     return Site(latitude, longitude, altitude, model, model.vector_mgauss + anomaly)
 
 
-def _unit(rng: np.random.Generator) -> Array:
-    vector = rng.standard_normal(3)
+def unit(rng: np.random.Generator, count: int = 3) -> Array:
+    """Draw a direction (count,)."""
+    vector = rng.standard_normal(count)
     return np.asarray(vector / np.linalg.norm(vector))
 
 
 def _metal(rng: np.random.Generator) -> tuple[Array, Array]:
     """Draw iron (3,) and the matrix (3, 3) of gains, oblique axes and soft iron."""
-    iron = np.exp(rng.uniform(np.log(50.0), np.log(400.0))) * _unit(rng)
+    iron = np.exp(rng.uniform(np.log(50.0), np.log(400.0))) * unit(rng)
     gains = np.diag(1.0 + rng.uniform(-0.15, 0.15, 3))
     lean = np.radians(rng.uniform(-5.0, 5.0, 3))
     oblique = np.array(
@@ -160,7 +161,7 @@ def _symmetric_part(matrix: Array) -> Array:
 
 def _compass(rng: np.random.Generator, cure: Cure, averaged: bool, level_mgauss: float) -> Compass:
     iron, matrix = _metal(rng)
-    current_field = rng.uniform(0.1, 0.6) * _unit(rng) if rng.random() < 0.2 else np.zeros(3)
+    current_field = rng.uniform(0.1, 0.6) * unit(rng) if rng.random() < 0.2 else np.zeros(3)
     turn = np.eye(3)
     if cure != "old":
         # Neither autopilot's calibration holds a turn: it was mounted so that none is left.
@@ -171,7 +172,7 @@ def _compass(rng: np.random.Generator, cure: Cure, averaged: bool, level_mgauss:
         turn = from_vector(np.radians(rng.normal(0.0, 0.7, 3)))
         # More than half of the level field, and the vehicle would not have left the ground.
         most = min(200.0, 0.5 * level_mgauss)
-        change = np.exp(rng.uniform(np.log(30.0), np.log(most))) * _unit(rng)
+        change = np.exp(rng.uniform(np.log(30.0), np.log(most))) * unit(rng)
         believed_iron = iron + change
         believed = believed + 0.03 * _symmetric_noise(rng)
         believed_current = current_field * rng.uniform(0.0, 1.5)
@@ -209,11 +210,11 @@ def _imu(rng: np.random.Generator, kind: str) -> Imu:
     density = np.radians(np.exp(rng.uniform(np.log(0.004), np.log(0.015))))
     vibration = {"copter": 0.7, "boat": 0.15}.get(kind, 0.3) * np.exp(rng.uniform(-0.7, 0.7))
     return Imu(
-        gyro_bias=np.radians(rng.uniform(0.0, 0.3)) * _unit(rng),
+        gyro_bias=np.radians(rng.uniform(0.0, 0.3)) * unit(rng),
         gyro_scale=rng.uniform(0.0, 0.008) * rng.choice([-1.0, 1.0], 3) * rng.uniform(0.3, 1.0, 3),
         gyro_noise=float(density * np.sqrt(50.0)),
         gyro_walk=float(np.radians(np.exp(rng.uniform(np.log(0.0003), np.log(0.003))))),
-        acc_bias=rng.uniform(0.0, 0.15) * _unit(rng),
+        acc_bias=rng.uniform(0.0, 0.15) * unit(rng),
         acc_noise=float(rng.uniform(0.01, 0.04)),
         acc_vibration=float(vibration),
     )

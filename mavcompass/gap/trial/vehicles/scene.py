@@ -265,21 +265,16 @@ class Fixes:
     position_m: Array
 
 
-def true_imu(motion: Motion) -> Felt:
-    """Return what a perfect IMU gives."""
-    force = rotate_back(motion.rotation, motion.acceleration_mps2 - GRAVITY_NED_MPS2)
-    return Felt(motion.rate_radps, force)
-
-
 def measured_imu(imu: Imu, scene: Scene, rng: np.random.Generator) -> Felt:
     """Add bias, scale error, noise, walk and vibration, through the autopilot's low pass of 20 Hz."""
-    true = true_imu(scene.motion)
-    shape = true.gyro_radps.shape
+    motion = scene.motion
+    force = rotate_back(motion.rotation, motion.acceleration_mps2 - GRAVITY_NED_MPS2)
+    shape = force.shape
     walk = np.cumsum(rng.standard_normal(shape), axis=0) * imu.gyro_walk * np.sqrt(STEP_S)
-    gyro = true.gyro_radps * (1.0 + imu.gyro_scale) + imu.gyro_bias + walk
+    gyro = motion.rate_radps * (1.0 + imu.gyro_scale) + imu.gyro_bias + walk
     gyro = gyro + imu.gyro_noise * rng.standard_normal(shape)
     shaking = imu.acc_noise + imu.acc_vibration * np.minimum(2.0 * scene.loads.throttle, 1.0)
-    acc = true.acc_mps2 + imu.acc_bias + shaking[:, None] * rng.standard_normal(shape)
+    acc = force + imu.acc_bias + shaking[:, None] * rng.standard_normal(shape)
     return Felt(_low_passed(gyro), _low_passed(acc))
 
 

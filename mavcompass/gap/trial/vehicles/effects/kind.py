@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavcompass.frames import FloatArray as Array
+from mavcompass.gap.trial.vehicles.draw import unit
 from mavcompass.gap.trial.vehicles.scene import Effect, Scene, Stage, Values, readings, stream
 
 Rng = np.random.Generator
@@ -41,12 +42,6 @@ class Kind:
     most: float
     needs: frozenset[str] = frozenset()
     sized: bool = True
-
-
-def unit(rng: Rng, count: int = 3) -> Array:
-    """Draw a direction (count,)."""
-    vector = rng.standard_normal(count)
-    return np.asarray(vector / np.linalg.norm(vector))
 
 
 def of(values: Values, names: tuple[str, ...] | str = AXES) -> Array:

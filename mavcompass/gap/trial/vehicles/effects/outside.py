@@ -7,7 +7,8 @@ import scipy
 
 from mavcompass.frames import FloatArray as Array
 from mavcompass.frames import rotate_back
-from mavcompass.gap.trial.vehicles.effects.kind import AXES, Grow, Kind, Rng, along, grown, of, only, unit
+from mavcompass.gap.trial.vehicles.draw import unit
+from mavcompass.gap.trial.vehicles.effects.kind import AXES, Grow, Kind, Rng, along, grown, of, only
 from mavcompass.gap.trial.vehicles.effects.known import dipole
 from mavcompass.gap.trial.vehicles.motion import GRAVITY_NED_MPS2, STEP_S, from_vector
 from mavcompass.gap.trial.vehicles.scene import Scene, Stage, Values
