@@ -35,6 +35,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         help="run the tests that need a vehicle against the one at this address, e.g. udpin:0.0.0.0:14550",
     )
     parser.addoption(
+        "--more", type=int, default=1, metavar="N", help="so many times as many cases where they are drawn"
+    )
+    parser.addoption(
         "--store", action="store_true", help="store the numbers that tests with stored ones compare with"
     )
 
@@ -43,6 +46,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def _own_state(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Keep what the program keeps for itself out of the home of who runs the tests."""
     os.environ["XDG_STATE_HOME"] = str(tmp_path_factory.mktemp("state"))
+
+
+@pytest.fixture(scope="session")
+def more(request: pytest.FixtureRequest) -> int:
+    """Say how many times as many cases as usual are wanted."""
+    return int(request.config.getoption("--more"))
 
 
 @pytest.fixture(scope="module")

@@ -1,142 +1,45 @@
-"""How good is the four-position calibration, and is its sigma true? A Monte Carlo table.
+"""How good is a calibration, and is its sigma true? Monte Carlo tables.
 
-    python scripts/campaigns/calibration.py [--runs 5000] [--only NAME] [--json FILE]
+    python scripts/campaigns/calibration.py [--runs 5000] [--seed 20261121] [--only NAME] [--workers 2]
+    python scripts/campaigns/calibration.py --method world-field --runs 500 --seed 5150
 
 A quarter of the vehicles have cross terms (4 % rms), as the fit's prior has it; the others have none.
 Each run makes a vehicle with irons of its own, calibrates it and compares the heading at one random
-heading with the truth. "covered" is the share of accepted runs whose error lies within 1 and 1.96 of the
-claimed sigma; a run that the verdict refuses is not counted there, but its reason is.
+heading with the truth: by the four-position fit from its positions, by the methods of any motion from a whole
+recording, with an ordinary drive, few headings, strong motors and passing magnets besides. "covered" is the
+share of errors within 1 and 1.96 of the claimed sigma, of all results and of those accepted; positions that
+the verdict refuses have no result, but their reasons are counted.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import sys
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
 
 import numpy as np
+from campaign import ended, options, tried
+from made_up import CIRCLE, EARTH, SCENARIOS, Scenario, Truth, errors_deg, headings_of, vehicle_of
+from made_up_drives import CASES, recorded
 
+from mavcompass.calibration.methods import find_method
 from mavcompass.calibration.methods.four_positions_textbook import four_positions_textbook
-from mavcompass.calibration.model import level_to_body
+from mavcompass.calibration.model import gain_matrix
 from mavcompass.calibration.observation import Dwell, FourPositionData, Step
 from mavcompass.calibration.observation.wire import unquantise
-from mavcompass.calibration.positions import FourPositionsResult, solve_four_positions
+from mavcompass.calibration.positions import solve_four_positions
 from mavcompass.calibration.positions.verdict import judge
+from mavcompass.calibration.recorded import Recorded
 from mavcompass.correction import FieldCorrection
-from mavcompass.earth_field import EarthField
-from mavcompass.frames import FloatArray, wrap_pi
-from mavcompass.heading.compute import level_heading
-
-EARTH = EarthField((200.0 * math.cos(0.2), 200.0 * math.sin(0.2), -430.0))
-CIRCLE = np.arange(72) * (2.0 * math.pi / 72)
+from mavcompass.errors import PoorCalibration
+from mavcompass.frames import FloatArray
 
 
-@dataclass(frozen=True)
-class Scenario:
-    """What a run is made of; angles in degrees, fields in milligauss."""
-
-    about: str
-    positions: int = 4
-    noise: float = 3.0
-    samples: int = 50
-    step_error: float = 0.0
-    gyro_sigma: float = 0.0
-    gyro_scale_sigma: float = 0.0
-    gyro_bias_sigma: float = 0.0  # degrees per second
-    offset: float = 80.0
-    offset_of_h: float = 0.0  # instead of `offset`, with the steps closed on the bent compass
-    gain: float = 0.06
-    cross: float = 0.04
-    crossed: float = 0.25  # share of vehicles with cross terms
-    tilt: float = 0.0
-    tilt_sigma: float = 0.0
-    whole_numbers: bool = False
-    disturbance: float = 0.0
-    current: float = 0.0  # amperes
-    motor: float = 0.0  # mG per ampere
-    world_model: bool = True
-
-
-SCENARIOS = {
-    "exact steps": Scenario("exact steps, white noise 3 mG", crossed=0.0),
-    "wrong steps": Scenario("steps 3 deg rms, gyro 0.3 deg per step", step_error=3.0, gyro_sigma=0.3),
-    "bent loop 0.25 H": Scenario(
-        "steps closed on the bad compass", offset_of_h=0.25, gyro_sigma=0.3, noise=1.0
-    ),
-    "bent loop 0.5 H": Scenario(
-        "steps closed on the bad compass", offset_of_h=0.5, gyro_sigma=0.3, noise=1.0
-    ),
-    "whole numbers": Scenario(
-        "int16 truncation, noise 0.2 to 2 mG", whole_numbers=True, noise=-1.0, step_error=3.0, gyro_sigma=0.3
-    ),
-    "tilt": Scenario(
-        "ground of 3 deg, tilt known to 0.2 deg",
-        tilt=3.0,
-        tilt_sigma=0.2,
-        step_error=3.0,
-        gyro_sigma=0.3,
-    ),
-    "cross terms": Scenario(
-        "soft iron with cross terms of 0.03",
-        cross=0.03,
-        crossed=1.0,
-        gain=0.1,
-        step_error=5.0,
-        gyro_sigma=0.3,
-    ),
-    "gyro scale and bias": Scenario(
-        "gyro scale 1 %, bias 0.05 deg/s, three positions in ten with 5 stops",
-        positions=5,
-        gyro_scale_sigma=0.01,
-        gyro_bias_sigma=0.05,
-        gyro_sigma=0.1,
-        step_error=5.0,
-    ),
-    "disturbance": Scenario(
-        "steel of 20 mG rms, each axis, near one position", disturbance=20.0, step_error=3.0, gyro_sigma=0.3
-    ),
-    "disturbance, 5 stops": Scenario(
-        "the same with a fifth stop back at the first heading",
-        positions=5,
-        disturbance=20.0,
-        step_error=3.0,
-        gyro_sigma=0.3,
-    ),
-    "current": Scenario(
-        "0 to 10 A of 0.5 mG/A; judged at their mean current",
-        current=10.0,
-        motor=0.5,
-        step_error=3.0,
-        gyro_sigma=0.3,
-    ),
-    "three positions": Scenario("only three positions", positions=3, step_error=5.0, gyro_sigma=0.3),
-    "no place": Scenario("no world model", world_model=False, step_error=3.0, gyro_sigma=0.3),
-}
-
-
-@dataclass(frozen=True)
-class Truth:
-    """The vehicle of a run: raw = offset + gain field."""
-
-    offset: FloatArray
-    gain: FloatArray
-
-    def raw(
-        self, psi: FloatArray, roll: FloatArray | float = 0.0, pitch: FloatArray | float = 0.0
-    ) -> FloatArray:
-        h, z = EARTH.horizontal_mgauss, EARTH.ned_mgauss[2]
-        level = np.stack([h * np.cos(psi), -h * np.sin(psi), np.full(psi.size, z)], axis=1)
-        roll, pitch = np.broadcast_to(roll, psi.shape), np.broadcast_to(pitch, psi.shape)
-        body = np.einsum("nij,nj->ni", level_to_body(roll, pitch), level)
-        return body @ self.gain.T + self.offset
-
-
-def draw(scenario: Scenario, rng: np.random.Generator) -> tuple[Truth, FourPositionData]:
+def dwelt(scenario: Scenario, rng: np.random.Generator) -> tuple[Truth, FourPositionData]:
     """Make one vehicle and what its sensors see at the positions."""
     truth = vehicle_of(scenario, rng)
     k = scenario.positions
@@ -178,37 +81,6 @@ def draw(scenario: Scenario, rng: np.random.Generator) -> tuple[Truth, FourPosit
     return truth, _with_steps(scenario, dwells, psi, rng)
 
 
-def vehicle_of(scenario: Scenario, rng: np.random.Generator) -> Truth:
-    spread = 0.0 if scenario.offset_of_h else scenario.gain
-    gain = np.diag(1.0 + rng.normal(0.0, 1.0, 3) * spread)
-    gain[2, 2] = 0.5 * (gain[0, 0] + gain[1, 1]) + rng.normal() * 0.03
-    for pairs in (((0, 1),), ((0, 2), (1, 2))):
-        size = scenario.cross * (rng.random() < scenario.crossed)
-        for row, column in pairs:
-            gain[row, column] = gain[column, row] = rng.normal() * size
-    offset = rng.normal(0.0, 1.0, 3) * scenario.offset
-    if scenario.offset_of_h:
-        angle = rng.uniform(0.0, 2.0 * math.pi)
-        size = scenario.offset_of_h * EARTH.horizontal_mgauss
-        offset = np.array([size * math.cos(angle), size * math.sin(angle), 20.0 * rng.normal()])
-    return Truth(offset, gain)
-
-
-def headings_of(scenario: Scenario, truth: Truth, rng: np.random.Generator) -> FloatArray:
-    k = scenario.positions
-    first = rng.uniform(0.0, 2.0 * math.pi)
-    nominal = 2.0 * math.pi / k if k != 5 else math.pi / 2.0
-    if not scenario.offset_of_h:
-        turns = nominal + np.radians(rng.normal(0.0, 1.0, k - 1) * scenario.step_error)
-        return first + np.concatenate([[0.0], np.cumsum(turns)])
-    # The autopilot turns until its bent compass has moved by 90 degrees.
-    fine = np.linspace(0.0, 2.0 * math.pi, 3601)
-    shown = level_heading(truth.raw(fine))
-    wanted = first + nominal * np.arange(k)
-    nearest = np.array([fine[np.argmin(np.abs(wrap_pi(shown - w)))] for w in wanted])
-    return np.asarray(nearest[0] + np.concatenate([[0.0], np.cumsum(np.mod(np.diff(nearest), 2 * math.pi))]))
-
-
 def _with_steps(
     scenario: Scenario, dwells: tuple[Dwell, ...], psi: FloatArray, rng: np.random.Generator
 ) -> FourPositionData:
@@ -227,11 +99,6 @@ def _with_steps(
     )
 
 
-def errors_deg(correction: FieldCorrection, truth: Truth) -> FloatArray:
-    """Return the level heading errors on the circle, (72,)."""
-    return np.degrees(wrap_pi(level_heading(correction.apply(truth.raw(CIRCLE))) - CIRCLE))
-
-
 def cramer_rao_deg(scenario: Scenario, truth: Truth) -> float:
     """Return the bound of the textbook's five parameters: sqrt(3/8) sigma / (H sqrt n), mean gain 1."""
     gains = np.diag(truth.gain)[:2]
@@ -248,93 +115,124 @@ def textbook_errors_deg(data: FourPositionData, truth: Truth) -> FloatArray | No
     return errors_deg(four_positions_textbook(means)[0].correction(), truth)
 
 
-def run(scenario: Scenario, runs: int, seed: int, progress: Callable[[int], None]) -> dict[str, object]:
+@dataclass(frozen=True)
+class Score:
+    """Hold what became of a vehicle: errors over the circle and claims in degrees; `ratio` at one heading.
+
+    Attributes:
+        paper_deg, bound_deg: what the textbook's method leaves, and what nobody could do better.
+    """
+
+    error_deg: FloatArray
+    ratio: float
+    claimed_deg: float
+    accepted: bool = True
+    paper_deg: FloatArray | None = None
+    bound_deg: float = math.nan
+
+
+def by_positions(scenario: Scenario, rng: np.random.Generator) -> Score | str:
+    """Calibrate from still positions; return the reason where it is refused."""
+    truth, data = dwelt(scenario, rng)
+    fit = solve_four_positions(data, earth=EARTH if scenario.world_model else None)
+    if reasons := judge(data, fit)[0]:
+        return " ".join(reasons[0].split()[:6])
+    error, place = errors_deg(fit.correction, truth), int(rng.integers(72))
+    sigma = math.degrees(float(fit.heading_error.sigma_rad(CIRCLE[place])[0]))
+    return Score(
+        error,
+        float(error[place]) / sigma,
+        math.degrees(fit.heading_sigma_rad),
+        paper_deg=textbook_errors_deg(data, truth),
+        bound_deg=cramer_rao_deg(scenario, truth),
+    )
+
+
+def by_motion(scenario: Scenario, kind: str, method: str, rng: np.random.Generator) -> Score | str:
+    """Calibrate from a recording."""
+    truth, track = recorded(scenario, kind, rng)
+    place = int(rng.integers(CIRCLE.size))
+    try:
+        result = find_method(method)(Recorded(track, 1, EARTH if scenario.world_model else None))
+    except PoorCalibration:
+        return "no result"
+    assert result.heading_error is not None
+    # The state holds the offset at the mean load, at which the truth is judged.
+    state = result.heading_error.state
+    correction = FieldCorrection.from_matrix(-state[:3], np.linalg.inv(gain_matrix(state[3:9])))
+    error = errors_deg(correction, truth)
+    sigma = math.degrees(float(result.heading_error.sigma_rad(CIRCLE[place])[0]))
+    return Score(error, float(error[place]) / sigma, result.heading_sigma_deg, result.accepted)
+
+
+def run(name: str, method: str, runs: int, seed: int) -> dict[str, Any]:
     """Run one scenario and summarise it."""
-    rng = np.random.default_rng(seed)
-    ratio, worst, squares, textbook, bound = [], [], [], [], []
-    claimed = []
-    refused: Counter[str] = Counter()
-    for index in range(runs):
-        progress(index)
-        truth, data = draw(scenario, rng)
-        fit = solve_four_positions(data, earth=EARTH if scenario.world_model else None)
-        reasons, _ = judge(data, fit)
-        if reasons:
-            refused[_kind(reasons[0])] += 1
-            continue
-        error = errors_deg(fit.correction, truth)
-        ratio.append(_ratio(fit, error, int(rng.integers(72))))
-        squares.append(float((error**2).mean()))
-        worst.append(float(np.abs(error).max()))
-        claimed.append(math.degrees(fit.heading_sigma_rad) ** 2)
-        bound.append(cramer_rao_deg(scenario, truth) ** 2)
-        plain = textbook_errors_deg(data, truth)
-        if plain is not None:
-            textbook.append(float((plain**2).mean()))
-    accepted = len(ratio)
-    values = np.array(ratio)
+    scenario, kind = CASES[name]
+    rng = np.random.default_rng(seed + list(CASES).index(name))
+    drawn = [
+        by_positions(scenario, rng) if method == "four-positions" else by_motion(scenario, kind, method, rng)
+        for _ in range(runs)
+    ]
+    scores = [one for one in drawn if isinstance(one, Score)]
+    accepted = [one for one in scores if one.accepted]
+    paper = [one.paper_deg for one in scores if one.paper_deg is not None]
+    bound_deg = rms(one.bound_deg for one in scores)
     return {
         "about": scenario.about,
         "runs": runs,
-        "accepted": accepted,
-        "refused": dict(refused),
-        "covered_68": float((np.abs(values) < 1.0).mean()) if accepted else None,
-        "covered_95": float((np.abs(values) < 1.96).mean()) if accepted else None,
-        "heading_rms_deg": math.sqrt(float(np.mean(squares))) if accepted else None,
-        "heading_p95_max_deg": float(np.percentile(worst, 95)) if accepted else None,
-        "claimed_rms_deg": math.sqrt(float(np.mean(claimed))) if accepted else None,
-        "textbook_rms_deg": math.sqrt(float(np.mean(textbook))) if textbook else None,
-        "over_bound": math.sqrt(float(np.mean(squares)) / float(np.mean(bound)))
-        if accepted and scenario == SCENARIOS["exact steps"]
-        else None,
+        "accepted": len(accepted),
+        "refused": dict(Counter(one for one in drawn if isinstance(one, str))),
+        "heading_rms_deg": rms(one.error_deg for one in scores),
+        "heading_p95_max_deg": float(np.percentile([np.abs(one.error_deg).max() for one in scores], 95))
+        if scores
+        else math.nan,
+        "claimed_rms_deg": rms(one.claimed_deg for one in scores),
+        "textbook_rms_deg": rms(paper),
+        "covered": [covered(some, limit) for some in (scores, accepted) for limit in (1.0, 1.96)],
+        "over_bound": rms(one.error_deg for one in scores) / bound_deg if name == "exact steps" else math.nan,
     }
 
 
-def _ratio(fit: FourPositionsResult, error_deg: FloatArray, place: int) -> float:
-    sigma = math.degrees(float(fit.heading_error.sigma_rad(CIRCLE[place])[0]))
-    return float(error_deg[place]) / sigma
+def rms(values: Iterable[Any]) -> float:
+    """Return the root mean square of all that is in the values; nan of nothing."""
+    found = [np.mean(np.square(one)) for one in values]
+    return math.sqrt(float(np.mean(found))) if found else math.nan
 
 
-def _kind(reason: str) -> str:
-    return " ".join(reason.split()[:6])
+def covered(scores: Sequence[Score], limit: float) -> float:
+    """Return the share within so many sigmas, in percent."""
+    return 100.0 * float(np.mean([abs(one.ratio) < limit for one in scores])) if scores else math.nan
 
 
 def main() -> int:
-    """Print the table; write it as JSON where asked."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=5000)
-    parser.add_argument("--seed", type=int, default=20261121)
-    parser.add_argument("--only", default=None, help="one scenario by name")
-    parser.add_argument("--json", type=Path, default=None)
-    options = parser.parse_args()
-    chosen = {n: s for n, s in SCENARIOS.items() if options.only in (None, n)}
-    table = {}
-    print(
-        f"{'scenario':22} {'accepted':>9} {'rms deg':>8} {'claimed':>8} {'paper':>8} {'1 s':>6} {'1.96 s':>8}"
+    """Print the table."""
+    wanted = options(
+        __doc__,
+        method=["four-positions", "world-field", "running"],
+        runs=5000,
+        seed=20261121,
+        only=("", "one scenario by name"),
+        workers=1,
     )
-    for number, (name, scenario) in enumerate(chosen.items()):
-        row = run(replace(scenario), options.runs, options.seed + number, _progress(name, options.runs))
+    names = [*(SCENARIOS if wanted.method == "four-positions" else CASES)]
+    names = [name for name in names if wanted.only in ("", name)]
+    print(
+        f"{'scenario':22} {'accepted':>9} {'rms deg':>8} {'claimed':>8} {'paper':>8}"
+        "  all: 1, 1.96 s  accepted: 1, 1.96 s"
+    )
+    one = partial(run, method=wanted.method, runs=wanted.runs, seed=wanted.seed)
+    table = {}
+    for name, row in zip(names, tried(one, names, workers=wanted.workers), strict=True):
         table[name] = row
-        cells = [row["heading_rms_deg"], row["claimed_rms_deg"], row["textbook_rms_deg"]]
-        shown = [f"{c:8.3f}" if isinstance(c, float) else f"{'-':>8}" for c in cells]
-        covered = [row["covered_68"], row["covered_95"]]
-        percent = [f"{100 * c:.1f}" if isinstance(c, float) else "-" for c in covered]
-        line = f"{name:22} {row['accepted']:>9} {' '.join(shown)} {percent[0]:>6} {percent[1]:>8}"
-        print(line, row["refused"] or "")
-        if row["over_bound"]:
+        sizes = " ".join(
+            f"{row[size]:8.3f}" for size in ("heading_rms_deg", "claimed_rms_deg", "textbook_rms_deg")
+        )
+        shares = " ".join(f"{percent:7.1f}" for percent in row["covered"])
+        print(f"{name:22} {row['accepted']:9} {sizes} {shares}", row["refused"] or "", flush=True)
+        if name == "exact steps" and wanted.method == "four-positions":
             print(f"{'':22} heading error / Cramer-Rao bound: {row['over_bound']:.3f}")
-    if options.json:
-        options.json.write_text(json.dumps(table, indent=1))
-    return 0
-
-
-def _progress(name: str, runs: int) -> Callable[[int], None]:
-    def show(index: int) -> None:
-        if sys.stderr.isatty() and index % 250 == 0:
-            print(f"\r{name}: {index}/{runs}", end="\r", file=sys.stderr)
-
-    return show
+    return ended(wanted.json, table, wrong=False)
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    sys.exit(main())

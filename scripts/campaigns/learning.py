@@ -17,15 +17,14 @@ margin. Every offer is taken, so that the rest of the hour tries a compass that 
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from calibration import EARTH, SCENARIOS, Truth, errors_deg, vehicle_of
-from motion import rocking
+from campaign import ended, options
+from made_up import EARTH, SCENARIOS, Truth, errors_deg, rocking, vehicle_of
 
 from mavcompass.calibration.methods.running import WINDOW_S, learn
 from mavcompass.calibration.recorded import Recorded
@@ -228,22 +227,19 @@ def words(kind: str, off_deg: float, tally: Tally) -> str:
 
 def main() -> int:
     """Print the figures, and those so far on standard error."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--hours", type=int, default=50)
-    parser.add_argument("--seed", type=int, default=7)
-    parser.add_argument("--off", type=float, default=20.0)
-    parser.add_argument("--kind", choices=(*KINDS, "all"), default="magnets")
-    options = parser.parse_args()
-    for kind in KINDS if options.kind == "all" else (options.kind,):
-        tally, rng = Tally(), np.random.default_rng(options.seed)
-        for done in range(1, options.hours + 1):
-            drive(rng, options.off, kind, tally)
-            if done % 10 == 0 and done < options.hours:
-                print(words(kind, options.off, tally), file=sys.stderr, flush=True)
-        print(words(kind, options.off, tally), flush=True)
+    wanted = options(__doc__, hours=50, seed=7, off=20.0, kind=["magnets", *KINDS[1:], "all"])
+    tallies = {}
+    for kind in KINDS if wanted.kind == "all" else (wanted.kind,):
+        tally, rng = Tally(), np.random.default_rng(wanted.seed)
+        for done in range(1, wanted.hours + 1):
+            drive(rng, wanted.off, kind, tally)
+            if done % 10 == 0 and done < wanted.hours:
+                print(words(kind, wanted.off, tally), file=sys.stderr, flush=True)
+        print(words(kind, wanted.off, tally), flush=True)
         for one in tally.wrong:
             print("   ", one)
-    return 0
+        tallies[kind] = tally
+    return ended(wanted.json, tallies, any(tally.wrong for tally in tallies.values()))
 
 
 if __name__ == "__main__":

@@ -1,39 +1,27 @@
-"""How true is the sigma of a calibration by motion? Whole recordings made up, a Monte Carlo table.
+"""Whole recordings of made-up vehicles: dwells of 5 s, turns between them, and an ordinary drive.
 
-    python scripts/campaigns/motion.py [--method running] [--runs 500] [--seed 5150] [--only NAME]
-
-The vehicles and troubles are those of `calibration.py`, as recordings: dwells of 5 s, turns between them, 10
-readings of the compass a second; and an ordinary drive, few headings, strong motors, passing magnets.
 Every vehicle has what every vehicle has: a field that lags by 0.03 s, a gyro whose scale is good to 1 % and
 whose bias wanders by 0.01 deg/s, a tilt good to 0.02 deg, an accelerometer that is off by 1 mg all along.
-"covered" is the share of errors at one random heading within 1 and 1.96 of the claimed sigma, of all results
-and of those accepted.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from calibration import CIRCLE, EARTH, SCENARIOS, Scenario, Truth, errors_deg, headings_of, vehicle_of
+from made_up import GYRO_S, SCENARIOS, Scenario, Truth, headings_of, rocking, vehicle_of
 
-from mavcompass.calibration.methods import find_method
-from mavcompass.calibration.model import gain_matrix
-from mavcompass.calibration.recorded import Recorded
-from mavcompass.correction import FieldCorrection
-from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
-GYRO_S, EVERY = 0.02, 5
+EVERY = 5
 TURN_RADPS = math.radians(30.0)
 LAG_S, SCALE, WANDER_RADPS, TILT_RAD = 0.03, 0.01, math.radians(0.01), math.radians(0.02)
 ACCELEROMETER_RAD = 0.001
-WANDERS_IN_S, ROCKS_IN_S = 6.0, 0.5
+WANDERS_IN_S = 6.0
 BASE = SCENARIOS["wrong steps"]
 CASES: dict[str, tuple[Scenario, str]] = {
     **{name: (scenario, "stops") for name, scenario in SCENARIOS.items()},
@@ -68,15 +56,6 @@ def stops_of(scenario: Scenario, truth: Truth, kind: str, rng: np.random.Generat
     return np.asarray(first + np.concatenate([[0.0], np.cumsum(turns)]))
 
 
-def rocking(count: int, sigma_rad: float, rng: np.random.Generator) -> FloatArray:
-    """Return an error of the tilt whose mean over 5 s is `sigma_rad`."""
-    from scipy.signal import lfilter
-
-    memory = math.exp(-GYRO_S / ROCKS_IN_S)
-    white = rng.normal(0.0, math.sqrt(1.0 - memory**2), count)
-    return np.asarray(lfilter([1.0], [1.0, -memory], white)) * sigma_rad / math.sqrt(2.0 * ROCKS_IN_S / 5.0)
-
-
 def disturbance(
     scenario: Scenario, kind: str, time: FloatArray, place: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
@@ -91,7 +70,7 @@ def disturbance(
     return added
 
 
-def draw(scenario: Scenario, kind: str, rng: np.random.Generator) -> tuple[Truth, Track]:
+def recorded(scenario: Scenario, kind: str, rng: np.random.Generator) -> tuple[Truth, Track]:
     """Make a vehicle and its recording."""
     truth = vehicle_of(scenario, rng)
     stops = stops_of(scenario, truth, kind, rng)
@@ -143,61 +122,3 @@ def _gyro(scenario: Scenario, yaw: FloatArray, time: FloatArray, rng: np.random.
     rate = np.zeros((time.size, 3))
     rate[:, 2] = lagging * (1.0 + rng.normal(0.0, SCALE)) + bias + rng.normal(0.0, white, time.size)
     return rate
-
-
-def run(name: str, scenario: Scenario, kind: str, method: str, runs: int, seed: int) -> str:
-    """Run one case; returns its line of the table."""
-    calibrate = find_method(method)
-    rng = np.random.default_rng(seed)
-    ratios: list[float] = []
-    squares: list[float] = []
-    claims: list[float] = []
-    accepted: list[bool] = []
-    for _ in range(runs):
-        truth, track = draw(scenario, kind, rng)
-        place = int(rng.integers(CIRCLE.size))
-        try:
-            result = calibrate(Recorded(track, 1, EARTH if scenario.world_model else None))
-        except PoorCalibration:
-            continue
-        assert result.heading_error is not None
-        # The state holds the offset at the mean load, at which the truth is judged.
-        state = result.heading_error.state
-        error = errors_deg(
-            FieldCorrection.from_matrix(-state[:3], np.linalg.inv(gain_matrix(state[3:9]))), truth
-        )
-        sigma = math.degrees(float(result.heading_error.sigma_rad(CIRCLE[place])[0]))
-        ratios.append(abs(float(error[place])) / sigma)
-        squares.append(float((error**2).mean()))
-        claims.append(result.heading_sigma_deg)
-        accepted.append(result.accepted)
-    if not ratios:
-        return f"{name:24} no result"
-    size, good = np.array(ratios), np.array(accepted, dtype=bool)
-    cells = [
-        f"{100.0 * (size[rows] < limit).mean():6.1f}" if rows.any() else "     -"
-        for rows in (np.ones(size.size, dtype=bool), good)
-        for limit in (1.0, 1.96)
-    ]
-    error_deg, claim_deg = math.sqrt(float(np.mean(squares))), math.sqrt(float(np.mean(np.square(claims))))
-    return f"{name:24} {100.0 * good.mean():7.0f} % {error_deg:8.3f} {claim_deg:8.3f} {' '.join(cells)}"
-
-
-def main() -> int:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--method", choices=("world-field", "running"), default="world-field")
-    parser.add_argument("--runs", type=int, default=500)
-    parser.add_argument("--seed", type=int, default=5150)
-    parser.add_argument("--only", default=None, help="one case by name")
-    options = parser.parse_args()
-    print(f"{'case':24} {'accepted':>9} {'rms deg':>8} {'claimed':>8}  all: 1, 1.96 s  accepted: 1, 1.96 s")
-    for number, (name, (scenario, kind)) in enumerate(CASES.items()):
-        if options.only in (None, name):
-            line = run(name, scenario, kind, options.method, options.runs, options.seed + number)
-            print(line, flush=True)
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
