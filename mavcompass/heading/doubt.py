@@ -163,5 +163,7 @@ def turned_since_new(track: Track, instance: int) -> FloatArray:
     new = np.ones(len(values), dtype=bool)
     new[1:] = (values[1:] != values[:-1]).any(axis=1)
     since = np.maximum.accumulate(np.where(new, np.arange(len(values)), 0))
-    turned = turned_vector(track, compass.time_s, usual=False)
-    return np.asarray(np.linalg.norm(turned - turned[since], axis=1))
+    # The rate that most of it has is the gyro's bias, or that of what turns more than it stands.
+    ways = (turned_vector(track, compass.time_s, usual) for usual in (True, False))
+    apart = [np.linalg.norm(turned - turned[since], axis=1) for turned in ways]
+    return np.asarray(np.min(apart, axis=0))

@@ -36,6 +36,20 @@ def test_a_frozen_compass_is_late_by_the_turn(frozen_s: float, degrees: float) -
     assert np.degrees(late[TIME < frozen_s]).max() < 1e-6
 
 
+def test_what_turns_more_than_it_stands_stands_all_the_same() -> None:
+    # A quiet compass repeats itself where it stands: that is no turn against the usual one.
+    stands = (TIME % 20.0) < 8.0
+    rate = np.where(stands, 0.0, math.radians(24.0))
+    yaw = np.concatenate([[0.0], np.cumsum(rate[:-1] * 0.1)])
+    field = np.round(np.stack([230.0 * np.cos(yaw), -230.0 * np.sin(yaw), np.full(600, 520.0)], axis=1))
+    gyro = Series.of(TIME, np.stack([np.zeros(600), np.zeros(600), rate], axis=1))
+    track = Track(compasses={1: MagSeries(1, Series.of(TIME, field))}, gyro_radps=gyro)
+    assert np.degrees(turned_since_new(track, 1)).max() < 3.0
+    frozen = Series.of(TIME, np.tile(field[:1], (600, 1)))
+    track = Track(compasses={1: MagSeries(1, frozen)}, gyro_radps=gyro)
+    assert np.degrees(turned_since_new(track, 1)).max() > 90.0
+
+
 def test_the_heading_is_as_unsure_as_its_reading_is_late() -> None:
     before, after = (heading_of_track(turned_and_frozen_from(s)).sigma_rad[-1] for s in (59.8, 20.0))
     assert after == pytest.approx(math.hypot(before, math.radians(90.0)), rel=0.1)
