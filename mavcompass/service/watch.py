@@ -116,15 +116,16 @@ class _Average:
 class _GyroComparison:
     """Compare the heading's change with the gyro's, per angle turned.
 
-    What comes between them while nothing turns is the gyro's drift: it teaches nothing of the compass.
+    What comes between them while nothing turns is the gyro's drift: it teaches nothing of the compass. What
+    goes with the rate is how late a reading is (0 to 0.25 s, by firmware and stream), and no iron either.
     """
 
-    mean: _Average = field(default_factory=lambda: _Average(2.0 * math.pi))
-    square: _Average = field(default_factory=lambda: _Average(math.pi))
+    means: tuple[_Average, _Average] = field(default_factory=lambda: (_a_turn(), _a_turn()))
+    products: tuple[_Average, ...] = field(default_factory=lambda: tuple(_Average(math.pi) for _ in range(3)))
     _last: tuple[float, float] | None = None
     _difference_rad: float = 0.0
 
-    def add(self, heading_rad: float, turned_rad: float) -> None:
+    def add(self, heading_rad: float, turned_rad: float, rate_radps: float) -> None:
         if self._last is None:
             self._last = (heading_rad, turned_rad)
             return
@@ -133,16 +134,26 @@ class _GyroComparison:
         if abs(turned) < 0.003:
             return
         self._difference_rad += _wrap(step - turned)
-        self.mean.add(self._difference_rad, abs(turned))
-        self.square.add((self._difference_rad - self.mean.value) ** 2, abs(turned))
+        off = []
+        for mean, value in zip(self.means, (self._difference_rad, rate_radps), strict=True):
+            mean.add(value, abs(turned))
+            off.append(value - mean.value)
+        for product, (i, j) in zip(self.products, ((0, 0), (0, 1), (1, 1)), strict=True):
+            product.add(off[i] * off[j], abs(turned))
 
     @property
     def known(self) -> bool:
-        return self.square.known and self.mean.known
+        return all(average.known for average in (*self.means, *self.products))
 
     @property
     def rms_rad(self) -> float:
-        return math.sqrt(self.square.value) if self.known else 0.0
+        square, both, rates = (product.value for product in self.products)
+        late = both * both / rates if rates > 0.0 else 0.0
+        return math.sqrt(max(square - late, 0.0)) if self.known else 0.0
+
+
+def _a_turn() -> _Average:
+    return _Average(2.0 * math.pi)
 
 
 @dataclass(slots=True)
@@ -239,7 +250,7 @@ class CompassWatch:
         first = glance.headings.get(1)
         if first is not None and heading.instance != 1 and glance.time_s - first.time_s < 1.0:
             record.apart.add(_wrap(heading.magnetic_rad - first.magnetic_rad) / _DEG, step_s)
-        record.gyro.add(heading.magnetic_rad, heading.turned_rad)
+        record.gyro.add(heading.magnetic_rad, heading.turned_rad, glance.rate_radps)
         course = glance.course_rad
         if course is not None and heading.true_rad is not None and _drives_straight_ahead(glance):
             off = _wrap(course - heading.true_rad) / _DEG

@@ -127,6 +127,21 @@ def test_a_heading_that_does_not_follow_the_gyro_is_found_after_a_turn() -> None
     assert found(lambda t: replace(see(t), tilt_sigma_rad=3.5 * DEG)) == set()
 
 
+@pytest.mark.parametrize("late_s", [-0.1, 0.2])
+def test_how_late_a_reading_is_in_sharp_bends_is_not_blamed_on_the_compass(late_s: float) -> None:
+    def see(t: float, bent_deg: float = 0.0) -> Glance:
+        left, of_bend = divmod(t, 3.0)  # to and fro at 60 degrees a second
+        rate = (1.0 if left % 2.0 == 0.0 else -1.0) * 60.0 * DEG
+        turned = rate * (of_bend if rate > 0.0 else of_bend - 3.0)
+        at = turned - late_s * rate
+        return replace(
+            glance(t, heading(t, at + bent_deg * DEG * math.sin(at), turned_rad=turned)), rate_radps=rate
+        )
+
+    assert found(see) == set()
+    assert found(lambda t: see(t, 40.0)) == {"gyro1"}
+
+
 def test_what_a_gyro_drifts_by_on_long_straight_legs_is_not_blamed_on_the_compass_in_the_next_bend() -> None:
     def see(t: float) -> Glance:
         bend, leg = divmod(t, 60.0)
