@@ -13,13 +13,13 @@ LINES = {
     "package gap": (14_590, 10_500),
     "package simulation": (8_070, 5_800),
     "package attitude calibration heading": (8_940, 5_400),
-    "package vehicle messages enums.py": (7_640, 5_200),
-    "package procedure": (6_230, 4_400),
-    "package service": (5_290, 4_100),
+    "package vehicle messages enums.py": (7_650, 5_200),
+    "package procedure": (6_240, 4_400),
+    "package service": (5_300, 4_100),
     "package logs": (4_590, 3_600),
     "package cli": (4_050, 2_900),
-    "package": (66_550, 46_500),
-    "tests": (43_120, 29_000),
+    "package": (66_570, 46_500),
+    "tests": (43_160, 29_000),
     "scripts": (8_610, 4_400),
 }
 

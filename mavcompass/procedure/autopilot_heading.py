@@ -29,9 +29,9 @@ from mavcompass.track import Track
 _WORTH_DEG = 0.75
 # Later on more is: what is left may be what the tilt tells wrong, of the compass or of the autopilot.
 _STILL_WORTH_DEG = 1.0
-# A flying estimator that is told to believe its compass (`prompt_estimator`) follows within this time, its
-# gyro's bias, which a half-written calibration disturbs, too: 2 to 7 s were seen on ArduPilot 4.5.7.
-_PROMPTLY_S, _AT_MOST_S = 6.5, 9.0
+# An estimator that is told to believe its compass (`prompt_estimator`) follows within this time, its gyro's
+# bias too: 2 to 7 s were seen in flight on ArduPilot 4.5.7; what stands has the bias alone left to learn.
+_PROMPTLY_S, _AT_MOST_S, _BIAS_ALONE_S = 6.5, 9.0, 4.0
 # An error that grows at a rate comes to so many seconds of it, by measurements on ArduPilot 4.5.7: the old
 # compass has bent the filter's gyro bias, which it unlearns in a minute or two.
 _SWING_S = 17.0
@@ -56,8 +56,10 @@ _TAKES_S = 0.6
 _LAG_S = 0.8
 _PATIENCE_S, _PATIENCE_WITHOUT_A_WAY_S = 120.0, 45.0
 # An autopilot that loads a calibration when it is disarmed is waited for so long, and then left to do it.
-# What so many loads have not brought right, another will not.
-_LANDING_PATIENCE_S, _LOADS_WITHIN_S, _LOADS = 60.0, 3.0, 4
+_LANDING_PATIENCE_S, _LOADS_WITHIN_S = 60.0, 3.0
+# What was done so often and has not brought it right will not.
+_TIMES = 4
+_BELIEVING = "believing its compass for some seconds"
 
 
 def yaw_error_rad(
@@ -110,6 +112,7 @@ class OwnHeading:
     _values: Mapping[str, float] = field(default_factory=dict)
     _written_s: float = math.nan
     _latest_deg: float = math.nan
+    _bent_deg: float = 0.0
     _has_a_way: bool = True
     _follows: bool = False
     _turned: FloatArray | None = None
@@ -126,22 +129,24 @@ class OwnHeading:
         and the autopilot would brake and steer the wrong way round (a boat with 300 mG of iron ran off so).
         """
         if self._has_a_way and self.desk.state.speed_mps < _STOPPED_MPS:
-            yield from self._take_over()
+            yield from self._switch()
 
     def found(self, results: Sequence[CalibrationResult], windows: Sequence[tuple[float, float]]) -> None:
-        """Measure the error at the first and at the last of the dwells, before anything is written."""
+        """Measure the error at the dwells, before anything is written: `before_deg` is that of the first."""
         self.result = surest(results)
         # What was recorded is by the mounting that is set; a calibration of the right one is not for that.
         self._turned = self.result.mounting.turned if self.result.accepted else None
-        self._sample(*windows[0])
-        self.before_deg = self.error_deg
-        self._sample(*windows[-1])
+        for window in windows:
+            self._sample(*window)
+        if self.samples:
+            self.before_deg = self.samples[0][1]
+            self._bent_deg = max(abs(error_deg) for _, error_deg, _ in self.samples)
         self.samples.clear()
 
     def expect(self) -> Script[None]:
         """Have a flying estimator follow its compass promptly from the write on, where that is worth it."""
         values = self._prompt_values()
-        if abs(self.error_deg) > _WORTH_DEG and values and self.flying:
+        if self._bent_deg > _WORTH_DEG and values and self.flying:
             self._follows = yield from self.overrides.hold(self._context, values)
 
     def written(self, values: Mapping[str, float]) -> Script[None]:
@@ -154,16 +159,14 @@ class OwnHeading:
                 "heading", f"The autopilot is {off_deg:.1f} deg off and turns to the new heading."
             )
             yield from self._until_it_follows()
-            yield from self.overrides.release(
-                self._context, "The autopilot's estimator gets its settings back."
-            )
-            self.by.append("believing its compass for some seconds")
+            yield from self._release()
+            self.by.append(_BELIEVING)
             self.samples.clear()
-        elif abs(self.error_deg) > _WORTH_DEG:
+        else:  # a yaw that is right now may be of an estimator whose gyro's bias is not
             yield from self._put_right(self.error_deg)
 
     def _until_it_follows(self) -> Script[None]:
-        """Wait until a flying estimator has followed its compass, all of a sample long."""
+        """Wait until an estimator has followed its compass, all of a sample long."""
         began_s, self._not_before_s = self._context.now, self.desk.rest.time_s + _LAG_S + self._sample_s
         yield from pause(self._context, _PROMPTLY_S)
         while self._context.now - began_s < _AT_MOST_S:
@@ -185,20 +188,20 @@ class OwnHeading:
             began_s = self._context.now
             while self._context.now - began_s < self._patience_s() and math.isfinite(self.before_deg):
                 self._look()
+                if self._may_help() and (yield from self._put_right(self.error_deg)):
+                    began_s = self._context.now
+                    continue
                 if self.worst_deg <= _GOOD_DEG or (self.set_aside and math.isfinite(self.worst_deg)):
                     return
                 as_good_as_it_gets = abs(self.error_deg) <= _STILL_WORTH_DEG or not self._has_a_way
                 if 2.0 * self.wander_deg > _GOOD_DEG and as_good_as_it_gets:
                     return
-                if self._may_help() and (yield from self._put_right(self.error_deg)):
-                    began_s = self._context.now
-                    continue
-                if self.samples and self._context.now - began_s > _SLOPE_AT_LEAST_S * self._slowness + 1.0:
+                if self._context.now - began_s > _SLOPE_AT_LEAST_S * self._slowness + 1.0:
                     left_s = self._patience_s() - (self._context.now - began_s)
-                    text = (
-                        f"All is written; the autopilot still follows, {abs(self.error_deg):.1f} deg off"
-                        f" now (at most {left_s:.0f} s more; you may stop here)."
-                    )
+                    how = f"the autopilot still follows, {abs(self.error_deg):.1f} deg off now"
+                    if not self.samples:
+                        how = f"its own heading is measured once it rests ({self.desk.rest.why_not})"
+                    text = f"All is written; {how} (at most {left_s:.0f} s more; you may stop here)."
                     self._context.show("heading", text, live=float(told))
                     told = True
                 yield from pause(self._context, 1.0)
@@ -319,7 +322,8 @@ class OwnHeading:
         return self.desk.context
 
     def _patience_s(self) -> float:
-        return _PATIENCE_S if self._has_a_way and not self.flying else _PATIENCE_WITHOUT_A_WAY_S
+        helps = self._has_a_way and self.samples and not self.flying
+        return _PATIENCE_S if helps else _PATIENCE_WITHOUT_A_WAY_S
 
     @property
     def _sample_s(self) -> float:
@@ -351,33 +355,20 @@ class OwnHeading:
     def _prompt_values(self) -> Mapping[str, float]:
         return self.desk.dialect.prompt_estimator(self.desk.parameters, self.flying)
 
-    def _load_believing(self) -> Script[str]:
-        """Have the autopilot load what was written while its estimator believes its compass."""
-        try:
-            if values := self._prompt_values():
-                yield from self.overrides.hold(self._context, values)
-                yield from pause(self._context, _TAKES_S)
-            how = yield from self.desk.dialect.load_written(self._context, self._values)
-            yield from pause(self._context, _TAKES_S)
-        finally:
-            yield from self.overrides.release(
-                self._context, "The autopilot's estimator gets its settings back."
-            )
-        return how
+    def _release(self) -> Script[None]:
+        yield from self.overrides.release(self._context, "The autopilot's estimator gets its settings back.")
 
     def _may_help(self) -> bool:
-        """Tell whether taking the compass's yaw over leaves less error: not while the bias is yet to go.
+        """Tell whether taking the compass's yaw over leaves less error: not while it swings, nor without one.
 
-        An estimator that has slid off from where a loaded calibration put it does not come back by itself.
+        An estimator that has slid off, or keeps a bias of its gyro, comes back slowly or not at all.
         """
         error_deg = abs(self.error_deg)
         falling = -self.slope_dps * math.copysign(1.0, self.error_deg)
         unlearned = falling > _UNLEARNED_PER_S * error_deg
         settled = abs(self.slope_dps) * _SWING_S < error_deg
-        stays_off = self.desk.dialect.loads_disarmed and settled
-        return (
-            self._has_a_way and not self.flying and error_deg > _STILL_WORTH_DEG and (unlearned or stays_off)
-        )
+        may = self._has_a_way and not self.flying and not self.set_aside
+        return may and error_deg > _STILL_WORTH_DEG and (unlearned or settled)
 
     def _put_right(self, error_deg: float) -> Script[bool]:
         """Have the autopilot take its compass's yaw over, and say so; False where it knows no way."""
@@ -390,13 +381,33 @@ class OwnHeading:
         return bool(how)
 
     def _take_over(self) -> Script[str]:
+        """Have an estimator that does not fly believe its compass while it takes its yaw over; return how."""
+        desk, how, believes = self.desk, "", False
+        loads = desk.dialect.loads_disarmed
+        if self.flying or (loads and (desk.state.armed or not self._values)):
+            self._has_a_way = False
+            return how
+        try:
+            if values := self._prompt_values():
+                believes = yield from self.overrides.hold(self._context, values)
+            if loads:
+                yield from pause(self._context, _TAKES_S if believes else 0.0)
+                how = yield from desk.dialect.load_written(self._context, self._values)
+                yield from pause(self._context, _TAKES_S)
+            else:
+                how = yield from self._switch()
+                if believes:
+                    yield from pause(self._context, _BIAS_ALONE_S) if how else self._until_it_follows()
+                    how = f"{how}, {_BELIEVING}" if how else _BELIEVING
+        finally:
+            yield from self._release()
+        self._has_a_way = bool(how) and self.by.count(how) < _TIMES
+        return how
+
+    def _switch(self) -> Script[str]:
         desk = self.desk
-        if self._values and desk.dialect.loads_disarmed:
-            how = "" if desk.state.armed else (yield from self._load_believing())
-            self._has_a_way = bool(how) and self.by.count(how) < _LOADS
-        else:
-            how = yield from desk.dialect.take_compass_yaw(desk.context, desk.parameters, self.flying)
-            self._has_a_way = bool(how)
+        how = yield from desk.dialect.take_compass_yaw(desk.context, desk.parameters, self.flying)
+        self._has_a_way = bool(how)
         return how
 
     def _look(self) -> None:

@@ -9,8 +9,7 @@ from mavcompass.simulation.autopilot import Board, ParameterStore
 _SETS = (1, 2, 3)
 _COMPASS, _COMPASS_AS_FALLBACK = 1.0, 3.0
 _HEADING_ONLY = 2.0  # EK3_MAG_CAL
-_NOISES = ("EK3_GBIAS_P_NSE", "EK3_MAG_M_NSE")
-_SUREST_READING = 0.2  # of what is shipped; less is not taken
+_SUREST_READING = 0.2  # of what is shipped; less is not taken of a field's, nor ever set of a heading's
 
 
 class Sources:
@@ -50,18 +49,18 @@ class Sources:
         follows = named and not self.compasses_aside
         if follows and not self._followed and compass_yaw_rad is not None and not flying:
             estimate.take_yaw(compass_yaw_rad)
-        yaw_rad = compass_yaw_rad if follows else None
-        if flying and self._store["EK3_MAG_CAL"] != _HEADING_ONLY:
-            estimate.correct(dt_s, yaw_rad, self._learns_within_rad(), *self._noises())
-        else:
-            estimate.correct(dt_s, yaw_rad)
+        learns = flying and self._store["EK3_MAG_CAL"] != _HEADING_ONLY
+        within_rad = self._learns_within_rad() if learns else 0.0
+        noises = self._noises("EK3_MAG_M_NSE" if learns else "EK3_YAW_M_NSE")
+        estimate.correct(dt_s, compass_yaw_rad if follows else None, within_rad, *noises)
         self._followed = follows
 
     def _learns_within_rad(self) -> float:
         """Return how far the direction of the field may be learnt to be off the world model's."""
         return math.asin(min(1.0, self._store["EK3_MAG_EF_LIM"] / self._board.world.horizontal_mgauss))
 
-    def _noises(self) -> tuple[float, float]:
+    def _noises(self, reading: str) -> tuple[float, float]:
         """Return how much surer a reading counts than as shipped, and how much more the bias may wander."""
-        bias, reading = (self._store[name] / self._store.factory_value(name) for name in _NOISES)
-        return 1.0 / max(reading, _SUREST_READING), bias
+        store = self._store
+        less, more = (store[name] / store.factory_value(name) for name in (reading, "EK3_GBIAS_P_NSE"))
+        return 1.0 / max(less, _SUREST_READING), more

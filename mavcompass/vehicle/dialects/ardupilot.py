@@ -258,8 +258,8 @@ class ArduPilotDialect(CompassDialect):
         return (yield from calibrate_ardupilot(context, instances))
 
     def prompt_estimator(self, parameters: Mapping[str, float], flying: bool) -> Mapping[str, float]:
-        """Return at what EKF3 follows its compass in flight; see `taking_over`."""
-        return prompt_ekf3(parameters) if flying else {}
+        """Return at what EKF3 follows its compass; see `taking_over`."""
+        return prompt_ekf3(parameters, flying)
 
     def take_compass_yaw(
         self, context: Context, parameters: Mapping[str, float], flying: bool

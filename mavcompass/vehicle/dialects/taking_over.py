@@ -1,13 +1,13 @@
 """Have an autopilot's estimator take the heading of a newly calibrated compass over.
 
-ArduPilot's EKF3 does so without a parameter written and without a restart. It pulls its yaw to the compass
+ArduPilot's EKF3 does so without a restart. It pulls its yaw to the compass
 weakly (EK3_YAW_M_NSE is half a radian): after a calibration it needs minutes, and swings past it, for a part
 of the old error went into the gyro's bias. It takes the compass's yaw over at once when the compass becomes
 its source of yaw (`SelectMagFusion`, yaw_source_reset). Switching to a set of sources that names no compass,
 and back, does that; the choice of the set lives in memory only. A flying copter is not switched: it would be
 without a position for that moment, and what its filter has learnt of the Earth's field in flight, which new
-offsets leave as it is, pulls the yaw back at once. There the filter's own noises do it for some seconds, see
-`prompt_ekf3`.
+offsets leave as it is, pulls the yaw back at once. The bias, and all of it in flight, is seen to by the
+filter's own noises for some seconds, see `prompt_ekf3`.
 
 PX4 loads a calibration that was written while it flew. Seen in its source and on its firmware (August 2024):
 `VehicleMagnetometer` loads CAL_MAGn_* only while disarmed, when some parameter changes; each change of the
@@ -39,14 +39,16 @@ from mavcompass.vehicle.parameters.values import holds
 
 EKF3_HOW = "switching its source of yaw off and on"
 
-# With these the filter believes its compass. What it has learnt of the Earth's field goes back to the world
-# model's, within 1 mG. New offsets zero what it has learnt of the compass (`readMagData`), to within
-# EK3_MAG_M_NSE: so sure, it cannot put its yaw's error there. A reading counts as sure to 10 mG, the least
-# that the firmware takes, and is not thrown away where it is far off (10 sigmas). The gyro's bias, which the
-# turns under the old compass have bent, may wander (shipped: 0.001 rad/s^2). Seen on ArduPilot 4.5.7 after a
-# write, with iron of 310 mG: -16.3 deg off, -0.6 after 6 s, and so it stays; with 120 mG and without these:
-# 7 deg after 20 s and 3 after a minute.
-_PROMPT = {
+# With these the filter believes its compass, and its gyro's bias, which the turns under the old compass have
+# bent, may wander (shipped: 0.5 rad and 0.001 rad/s^2, 40 s). Seen on ArduPilot 4.5.7, on the ground: a yaw
+# that was only taken over went 1 to 4 deg off in the minute after it.
+_PROMPT_HEADING = {"EK3_YAW_M_NSE": 0.05, "EK3_GBIAS_P_NSE": 0.1}
+# Where it learns the field, in flight: what it has learnt of the Earth's goes back to the world model's,
+# within 1 mG. New offsets zero what it has learnt of the compass (`readMagData`), to within EK3_MAG_M_NSE: so
+# sure, it cannot put its yaw's error there. A reading counts as sure to 10 mG, the least that the firmware
+# takes, and is not thrown away where it is far off (10 sigmas). Seen after a write, with iron of 310 mG: -16
+# deg off, -0.6 after 6 s, and so it stays; with 120 mG and without these: 7 deg after 20 s, 3 after a minute.
+_PROMPT_FIELD = {
     "EK3_MAG_EF_LIM": 1.0,
     "EK3_MAG_M_NSE": 0.001,
     "EK3_GBIAS_P_NSE": 0.03,
@@ -82,11 +84,13 @@ def take_ekf3_yaw(context: Context, parameters: Mapping[str, float], flying: boo
     return EKF3_HOW
 
 
-def prompt_ekf3(parameters: Mapping[str, float]) -> Mapping[str, float]:
-    """Return the values at which a flying EKF3 believes its compass; {} where it follows or learns none."""
+def prompt_ekf3(parameters: Mapping[str, float], flying: bool) -> Mapping[str, float]:
+    """Return the values at which EKF3 believes its compass; {} where it follows none."""
     by_compass = parameters.get("EK3_SRC1_YAW", _COMPASS) in (_COMPASS, _COMPASS_AS_FALLBACK)
-    learns = parameters.get("EK3_MAG_CAL") != _HEADING_ONLY
-    return _PROMPT if by_compass and learns and parameters.get("AHRS_EKF_TYPE", _EKF3) == _EKF3 else {}
+    if not by_compass or parameters.get("AHRS_EKF_TYPE", _EKF3) != _EKF3:
+        return {}
+    learns = flying and parameters.get("EK3_MAG_CAL") != _HEADING_ONLY
+    return _PROMPT_FIELD if learns else _PROMPT_HEADING
 
 
 def idle_set(parameters: Mapping[str, float]) -> int | None:
