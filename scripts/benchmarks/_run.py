@@ -2,7 +2,10 @@
 
     scripts/bench [NAME ...] [--quick] [--json FILE] [--list] [-- OPTIONS OF THE ONE BENCHMARK]
 
-A benchmark is a file of this folder whose name does not begin with an underscore, with a function
+A benchmark is a file of this folder whose name does not begin with an underscore. Either it holds functions
+for pytest-benchmark (the options are pytest's), whose best times are compared by CHECKS, dictionaries with
+`what`, the names `of` one and `over` the other, and `at_least` or `at_most`; TIMER names another clock than
+the wall's, and `extra_info["samples"]` says of how many the time is. Or it has a function
 
     main(argv: Sequence[str] | None = None) -> dict
 
@@ -17,15 +20,19 @@ import json
 import os
 import platform
 import sys
+import tempfile
 import traceback
 from collections.abc import Sequence
+from functools import partial
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
 PROJECT = HERE.parents[1]
+QUICK = ("--benchmark-max-time=0.2", "--benchmark-min-rounds=3")  # of pytest-benchmark
 COMPARED = ("numpy", "scipy", "pymavlink", "pyulog", "mavsdk", "distributed", "pyarrow")
 
 
@@ -72,11 +79,38 @@ def run(name: str, quick: bool, options: Sequence[str]) -> dict[str, Any]:
     before = os.getloadavg()[0]
     try:
         module = import_module(name)
-        figures: dict[str, Any] = module.main([*(getattr(module, "QUICK", ()) if quick else ()), *options])
+        measure = getattr(module, "main", None) or partial(timed, module)
+        default_quick = () if hasattr(module, "main") else QUICK
+        figures = measure([*(getattr(module, "QUICK", default_quick) if quick else ()), *options])
     except (Exception, SystemExit) as error:
         traceback.print_exc()
         figures = {"broke": f"{type(error).__name__}: {error}"}
     return {"load_before": before, "quick": quick, **figures}
+
+
+def timed(module: ModuleType, options: Sequence[str]) -> dict[str, Any]:
+    """Run a file of pytest-benchmark's; return the median and the best of each part, seconds."""
+    import pytest
+
+    with tempfile.TemporaryDirectory() as folder:
+        result = Path(folder) / "result.json"
+        words = [str(module.__file__), f"--rootdir={PROJECT}", "-q", "-p", "no:cacheprovider"]
+        words += ["--benchmark-enable", "--benchmark-only", "--benchmark-columns=min,median,rounds"]
+        words += [f"--benchmark-timer={getattr(module, 'TIMER', 'time.perf_counter')}"]
+        if code := pytest.main([*words, f"--benchmark-json={result}", *options]):
+            raise RuntimeError(f"pytest ended with {code!r}")
+        found = json.loads(result.read_text())["benchmarks"]
+    best = {
+        one["param"] or one["name"]: one["stats"]["min"] / one["extra_info"].get("samples", 1)
+        for one in found
+    }
+    checks = [
+        {"value": best[check["of"]] / best[check["over"]], **check}
+        for check in getattr(module, "CHECKS", ())
+        if check["of"] in best and check["over"] in best
+    ]
+    medians = {one["name"]: one["stats"]["median"] for one in found}
+    return {"median_s": medians, "best_s": best, "checks": checks}
 
 
 def machine() -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Calibrate the same recordings by mavcompass and by the tools people use today; judge by the truth.
 
-    scripts/bench accuracy [-- --data FOLDER --files NAME... --timeout S --magyc PYTHON --json FILE]
+    scripts/bench accuracy [-- --data FOLDER --files NAME... --timeout S --magyc PYTHON]
 
 For each ArduPilot recording of the shared data: heading rms against the simulator's true yaw while the
 vehicle dwells, before and after, and the time from start to result. Peers are pymavlink's magfit_WMM (with
@@ -57,7 +57,6 @@ def main(argv: Sequence[str] | None = None) -> dict[str, Any]:
     parser.add_argument("--files", nargs="*", default=None, help="e.g. rover_dist.BIN; default: all")
     parser.add_argument("--timeout", type=float, default=300.0, help="seconds for each peer")
     parser.add_argument("--magyc", type=Path, default=None, help="a Python that has magyc")
-    parser.add_argument("--json", type=Path, default=None)
     options = parser.parse_args(argv)
     files = options.files or [f"{name}.{end}" for name in RECORDINGS for end in ("BIN", "tlog")]
     magyc = options.magyc or python_with_magyc()
@@ -78,8 +77,6 @@ def main(argv: Sequence[str] | None = None) -> dict[str, Any]:
             print(
                 f"{name:24} {row['tool']:26} {row['seconds']:8.2f} {shown}  {row.get('said', '')}", flush=True
             )
-    if options.json:
-        options.json.write_text(json.dumps(table, indent=1) + "\n")
     return {"table": table, "checks": checks(table)}
 
 

@@ -1,48 +1,19 @@
-"""Measure the inner parts one by one with pytest-benchmark: solvers, diagnosis, undoing corrections.
+"""Measure the inner parts one by one: solvers, diagnosis, undoing corrections.
 
-    scripts/bench inner [-- -k four_positions]
-
-The options are pytest's. The functions below are no tests: the suite never times anything.
+scripts/bench inner [-- -k four_positions]
 """
 
 from __future__ import annotations
 
-import json
 import sys
-import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 PROJECT = Path(__file__).resolve().parents[2]
-QUICK = ("--benchmark-max-time=0.2", "--benchmark-min-rounds=3")
 METHODS = ("four-positions", "min-max", "world-field")  # those that a level turn suffices for
-
-
-def main(argv: Sequence[str] | None = None) -> dict[str, Any]:
-    """Run pytest-benchmark on this file; return the median of each part, seconds."""
-    with tempfile.TemporaryDirectory() as folder:
-        result = Path(folder) / "inner.json"
-        code = pytest.main(
-            [
-                __file__,
-                f"--rootdir={PROJECT}",
-                "-q",
-                "-p",
-                "no:cacheprovider",
-                "--benchmark-enable",
-                "--benchmark-only",
-                "--benchmark-columns=min,median,rounds",
-                f"--benchmark-json={result}",
-                *(argv or ()),
-            ]
-        )
-        if code != 0:
-            raise RuntimeError(f"pytest ended with {code!r}")
-        found = json.loads(result.read_text())["benchmarks"]
-    return {"median_s": {one["name"]: one["stats"]["median"] for one in found}}
 
 
 @pytest.fixture(scope="module")

@@ -1,154 +1,118 @@
 """Measure the readers of recordings beside pymavlink's and pyulog's, in one run on the same files.
 
-    scripts/bench readers [-- --messages N --megabytes M --json FILE]
+    scripts/bench readers [-- -k DataFlash]
 
 The telemetry log and the DataFlash log are made here, with the mix of messages that a vehicle sends;
-recordings of the shared data are measured too where they are there. The best of three runs counts, for
-every reader. Memory is that of a process which reads a file of `--megabytes` and nothing else.
+recordings of the shared data are measured too where they are there. The best of three runs by processor time
+counts, of pymavlink's the only one.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import resource
-import subprocess
+import os
 import sys
-import tempfile
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 PROJECT = Path(__file__).resolve().parents[2]
-SHARED = PROJECT.parent / "shared" / "data"
-sys.path.insert(0, str(PROJECT))
+SHARED = Path(os.environ.get("MAVCOMPASS_SHARED_DATA") or PROJECT.parent / "shared" / "data")
+MADE_MESSAGES = 120_000
+TIMER = "time.process_time"
 RUNS = 3
 STEP_MESSAGES = 12  # of one step of the made telemetry log
+WHOLE, NEEDED = "pymavlink recv_match()", "pymavlink recv_match(type=needed)"
+COLUMNS, TRACK = "mavcompass: checked messages as columns", "mavcompass: Track of all needed columns"
+CHECKS = tuple(
+    {
+        "what": f"{what}, times pymavlink's recv_match()",
+        "of": f"{what} made: {WHOLE}",
+        "over": f"{what} made: {TRACK}",
+        "at_least": ratio,
+    }
+    for what, ratio in (("telemetry log", 20.0), ("DataFlash", 15.0))
+)
+FILES = {
+    "telemetry log made": "made.tlog",
+    "DataFlash made": "made.bin",
+    **{f"telemetry log {p.parent.name}": str(p) for p in SHARED.glob("real/*/flight.tlog")},
+    **{f"telemetry log {p.name}": str(p) for p in SHARED.glob("*/copter*.tlog")},
+    **{f"DataFlash {p.name}": str(p) for p in SHARED.glob("*/copter*.BIN")},
+    **{f"ULog {p.name}": str(p) for p in SHARED.glob("real/*/*.ulg")},
+}
 
 
-QUICK = ("--messages", "60000")
-WANTED_RATIO = {"telemetry log": 20.0, "DataFlash": 15.0}
-
-
-def main(argv: Sequence[str] | None = None) -> dict[str, Any]:
-    """Measure every reader; return the figures of each file."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--messages", type=int, default=240_000, help="size of the made logs")
-    parser.add_argument("--megabytes", type=int, default=0, help="also measure memory on logs of this size")
-    parser.add_argument("--json", type=Path, help="write the figures there")
-    parser.add_argument("--read-and-report-memory", type=Path, help=argparse.SUPPRESS)
-    options = parser.parse_args(argv)
-    if options.read_and_report_memory:
-        report_memory(options.read_and_report_memory)
-        return {}
-    figures: list[dict[str, Any]] = []
-    with tempfile.TemporaryDirectory() as folder:
-        made_tlog = make_tlog(Path(folder) / "made.tlog", options.messages)
-        made_bin = make_dataflash(Path(folder) / "made.bin", options.messages)
-        for path in (made_tlog, *SHARED.glob("real/*/flight.tlog"), *SHARED.glob("*/copter*.tlog")):
-            figures.append(measure_tlog(path))
-        for path in (made_bin, *SHARED.glob("*/copter*.BIN")):
-            figures.append(measure_dataflash(path))
-        figures += [measure_ulog(path) for path in SHARED.glob("real/*/*.ulg")]
-        if options.megabytes:
-            figures += measure_memory(made_tlog, options.megabytes)
-            figures += measure_memory(made_bin, options.megabytes)
-    if options.json:
-        options.json.write_text(json.dumps(figures, indent=1) + "\n")
-    return {"files": figures, "checks": checks(figures)}
-
-
-def checks(figures: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Put what is wanted beside what was measured: on the logs made here, and of memory."""
-    out: list[dict[str, Any]] = []
-    for figure in figures:
-        if figure["what"] == "memory":
-            what = f"peak MB for {figure['file_mb']:.0f} MB {figure['suffix']}"
-            out.append({"what": what, "value": figure["peak_mb"], "at_most": figure["allowed_mb"]})
-        elif figure["file"].startswith("made.") and figure["what"] in WANTED_RATIO:
-            seconds = figure["seconds"]
-            ours = seconds["mavcompass: Track of all needed columns"]
-            theirs = next(taken for name, taken in seconds.items() if name.startswith("pymavlink"))
-            what = f"{figure['what']}, times pymavlink's recv_match()"
-            out.append({"what": what, "value": theirs / ours, "at_least": WANTED_RATIO[figure["what"]]})
-    return out
-
-
-def best_s(work: Callable[[], object], runs: int = RUNS) -> float:
-    """Return the shortest of several runs, seconds."""
-    times = []
-    for _ in range(runs):
-        start = time.process_time()
-        work()
-        times.append(time.process_time() - start)
-    return min(times)
-
-
-def show(what: str, path: Path, messages: int, seconds: dict[str, float]) -> dict[str, Any]:
-    """Print one file's figures, each reader beside ours."""
-    ours = seconds["mavcompass: Track of all needed columns"]
-    print(f"\n{what}: {path.name}, {messages} messages, {path.stat().st_size / 1e6:.1f} MB")
-    for reader, taken in seconds.items():
-        print(f"  {reader:48s} {taken:8.3f} s  {messages / taken / 1e3:9.0f} k/s  {taken / ours:7.1f} x")
-    return {"what": what, "file": path.name, "messages": messages, "seconds": seconds}
-
-
-def measure_tlog(path: Path) -> dict[str, Any]:
+def of_tlog(path: Path) -> dict[str, Callable[[], Any]]:
+    """Return the readers of a telemetry log."""
     from pymavlink import mavutil
 
     from mavcompass.logs.formats.tlog.messages import read_messages
     from mavcompass.logs.formats.tlog.reader import WANTED, read_tlog
 
-    def theirs(types: list[str] | None) -> None:
-        log = mavutil.mavlink_connection(str(path))
-        while log.recv_match(type=types) is not None:
-            pass
-        log.close()
-
-    read_tlog(path)
-    seconds = {
-        "pymavlink recv_match()": best_s(lambda: theirs(None), 1),
-        "pymavlink recv_match(type=needed)": best_s(lambda: theirs(list(WANTED)), 1),
-        "mavcompass: checked messages as columns": best_s(lambda: read_messages(path, WANTED)),
-        "mavcompass: Track of all needed columns": best_s(lambda: read_tlog(path)),
+    return {
+        WHOLE: lambda: _drained(mavutil.mavlink_connection(str(path)), None),
+        NEEDED: lambda: _drained(mavutil.mavlink_connection(str(path)), list(WANTED)),
+        COLUMNS: lambda: read_messages(path, WANTED),
+        TRACK: lambda: read_tlog(path),
     }
-    return show("telemetry log", path, read_messages(path, {}).frames, seconds)
 
 
-def measure_dataflash(path: Path) -> dict[str, Any]:
+def of_dataflash(path: Path) -> dict[str, Callable[[], Any]]:
+    """Return the readers of a DataFlash log."""
     from pymavlink import DFReader
 
     from mavcompass.logs.formats.dataflash.reader import WANTED, read_dataflash
     from mavcompass.logs.formats.dataflash.records import read_records
 
-    def theirs(types: list[str] | None) -> None:
-        log = DFReader.DFReader_binary(str(path))
-        while log.recv_match(type=types) is not None:
-            pass
-        log.close()
-
-    read_dataflash(path)
-    seconds = {
-        "pymavlink DFReader.recv_match()": best_s(lambda: theirs(None), 1),
-        "pymavlink DFReader.recv_match(type=needed)": best_s(lambda: theirs(list(WANTED)), 1),
-        "mavcompass: records as columns": best_s(lambda: read_records(path, WANTED)),
-        "mavcompass: Track of all needed columns": best_s(lambda: read_dataflash(path)),
+    return {
+        WHOLE: lambda: _drained(DFReader.DFReader_binary(str(path)), None),
+        NEEDED: lambda: _drained(DFReader.DFReader_binary(str(path)), list(WANTED)),
+        COLUMNS: lambda: read_records(path, WANTED),
+        TRACK: lambda: read_dataflash(path),
     }
-    return show("DataFlash", path, sum(read_records(path, {}).counts.values()), seconds)
 
 
-def measure_ulog(path: Path) -> dict[str, Any]:
+def of_ulog(path: Path) -> dict[str, Callable[[], Any]]:
+    """Return the readers of a ULog."""
     from pyulog import ULog
 
     from mavcompass.logs.formats.ulog.reader import read_ulog
 
-    messages = sum(len(data.data["timestamp"]) for data in ULog(str(path)).data_list)
-    seconds = {
-        "pyulog ULog()": best_s(lambda: ULog(str(path))),
-        "mavcompass: Track of all needed columns": best_s(lambda: read_ulog(path)),
-    }
-    return show("ULog", path, messages, seconds)
+    return {"pyulog ULog()": lambda: ULog(str(path)), TRACK: lambda: read_ulog(path)}
+
+
+READERS = {"telemetry log": of_tlog, "DataFlash": of_dataflash, "ULog": of_ulog}
+NAMES = [
+    f"{file}: {reader}"
+    for file in FILES
+    for reader in (("pyulog ULog()", TRACK) if file.startswith("ULog") else (WHOLE, NEEDED, COLUMNS, TRACK))
+]
+
+
+def _drained(log: Any, types: list[str] | None) -> None:
+    while log.recv_match(type=types) is not None:
+        pass
+    log.close()
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Find a recording; one that is to be made is made once."""
+    folder = tmp_path_factory.mktemp("made")
+    made = {"made.tlog": make_tlog, "made.bin": make_dataflash}
+    return cache(lambda name: made[name](folder / name, MADE_MESSAGES) if name in made else Path(name))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_read(benchmark: Any, found: Callable[[str], Path], name: str) -> None:
+    file, _, reader = name.partition(": ")
+    kind = next(kind for kind in READERS if file.startswith(kind))
+    work = READERS[kind](found(FILES[file]))[reader]
+    once = reader in (WHOLE, NEEDED)
+    benchmark.pedantic(work, rounds=1 if once else RUNS, warmup_rounds=0 if once else 1)
 
 
 def make_tlog(path: Path, messages: int) -> Path:
@@ -194,46 +158,3 @@ def make_dataflash(path: Path, records: int) -> Path:
             log.add("IMU", now, instance, *body).add("RATE", now + instance, *rates)
         log.add("ATT", now, 0, 10, 0, -10, 0.0, 90.0, 1.0).add("BAT", now, 0, 12.0, 15.0)
     return log.write(path)
-
-
-def measure_memory(made: Path, megabytes: int) -> list[dict[str, Any]]:
-    """Repeat a made log's messages up to the size and read it in a process of its own."""
-    content = made.read_bytes()
-    start = max(content.rfind(b"\xa3\x95\x80") + 89, 0) if made.suffix == ".bin" else 0
-    with tempfile.NamedTemporaryFile(suffix=made.suffix, dir=made.parent) as file:
-        file.write(content[:start])
-        for _ in range(max(1, megabytes * 1_000_000 // len(content))):
-            file.write(content[start:])
-        file.flush()
-        command = [sys.executable, __file__, "--read-and-report-memory", file.name]
-        figures: dict[str, Any] = json.loads(subprocess.run(command, capture_output=True, check=True).stdout)
-        size_mb = Path(file.name).stat().st_size / 1e6
-    allowed = 1.5 * figures["columns_mb"] + 100.0
-    print(
-        f"\nmemory, {size_mb:.0f} MB {made.suffix}: peak {figures['peak_mb']:.0f} MB, "
-        f"columns {figures['columns_mb']:.0f} MB (1.5 x columns + 100 MB = {allowed:.0f} MB), "
-        f"{figures['seconds']:.1f} s"
-    )
-    return [{"what": "memory", "file_mb": size_mb, "suffix": made.suffix, "allowed_mb": allowed, **figures}]
-
-
-def report_memory(path: Path) -> None:
-    """Read a recording; print the peak of resident memory and the size of the Track's columns."""
-    from mavcompass.logs import read_track
-    from mavcompass.track import Series
-
-    start = time.process_time()
-    track = read_track(path)
-    taken = time.process_time() - start
-    series = [getattr(track, name) for name in track.__slots__]
-    series = [one for one in series if isinstance(one, Series)] + [
-        c.reported for c in track.compasses.values()
-    ]
-    arrays = {id(array): array for one in series for array in (one.time_s, one.values)}
-    columns_mb = sum(array.nbytes for array in arrays.values()) / 1e6
-    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
-    print(json.dumps({"peak_mb": peak_mb, "columns_mb": columns_mb, "seconds": taken}))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,6 +1,6 @@
 """Measure the service's way from an IMU message to a published heading beside a bare pymavlink loop.
 
-    scripts/bench service_latency [-- --seconds 20 --rate 400 --json FILE]
+    scripts/bench service_latency [-- --seconds 20 --rate 400]
 
 One process plays the vehicle and sends each RAW_IMU to both at the same moment, stamped with the monotonic
 clock. One process receives with pymavlink's `recv_match` and does nothing. One is the whole service, its
@@ -36,7 +36,6 @@ def main(argv: Sequence[str] | None = None) -> dict[str, Any]:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--rate", type=float, default=400.0)
-    parser.add_argument("--json", type=Path, help="write the figures there")
     parser.add_argument("--role", choices=("bare", "service"), help=argparse.SUPPRESS)
     parser.add_argument("--port", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args(argv)
@@ -51,8 +50,6 @@ def main(argv: Sequence[str] | None = None) -> dict[str, Any]:
             f"   {figures[name]['count']} messages"
         )
     print(f"service / bare: median {figures['median_ratio']:.2f}, CPU {figures['cpu_ratio']:.2f}")
-    if options.json:
-        options.json.write_text(json.dumps(figures, indent=2) + "\n")
     return figures
 
 

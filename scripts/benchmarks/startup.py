@@ -1,17 +1,14 @@
-"""Measure start-up beside `python -c 'import numpy'`, each the best of several, taken in turns.
-
-scripts/bench startup [-- --runs 15]
-"""
+"""Measure start-up beside `python -c 'import numpy'`: scripts/bench startup"""
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
-import time
-from collections.abc import Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 PROGRAM = Path(sys.executable).with_name("mavcompass")
 COMMANDS = {
@@ -23,28 +20,13 @@ COMMANDS = {
     "from pymavlink import mavutil": [sys.executable, "-c", "from pymavlink import mavutil"],
 }
 BASE = next(iter(COMMANDS))
-QUICK = ("--runs", "5")
+CHECKS = tuple(
+    {"what": f"{name}, times import numpy", "of": name, "over": BASE, "at_most": 2.5}
+    for name in ("mavcompass --version", "import mavcompass")
+)
 
 
-def main(argv: Sequence[str] | None = None) -> dict[str, Any]:
-    """Start every command in turns; return the shortest times, seconds."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=15)
-    runs = parser.parse_args(argv).runs
-    best = dict.fromkeys(COMMANDS, float("inf"))
-    for _ in range(runs + 1):  # the first round fills the file cache; a slow one does no harm to a minimum
-        for name, command in COMMANDS.items():
-            began = time.perf_counter()
-            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-            best[name] = min(best[name], time.perf_counter() - began)
-    for name, seconds in best.items():
-        print(f"  {name:34s} {1e3 * seconds:7.1f} ms  {seconds / best[BASE]:5.2f} x numpy")
-    checks = [
-        {"what": f"{name}, times import numpy", "value": best[name] / best[BASE], "at_most": 2.5}
-        for name in ("mavcompass --version", "import mavcompass")
-    ]
-    return {"seconds": best, "checks": checks}
-
-
-if __name__ == "__main__":
-    main()
+@pytest.mark.parametrize("name", COMMANDS)
+def test_start(benchmark: Callable[..., Any], name: str) -> None:
+    quiet = {"check": True, "stdout": subprocess.DEVNULL}
+    benchmark.pedantic(subprocess.run, (COMMANDS[name],), quiet, rounds=15, warmup_rounds=1)  # type: ignore[attr-defined]
