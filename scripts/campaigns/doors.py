@@ -177,22 +177,13 @@ def judged(entry: Entry, one: SimulatedAutopilot, before: Mapping[str, float]) -
     for name, value in {**before, **given}.items():
         store.set(name, value)
     one.firmware.compasses.parameters_changed()
-    error = heading_error_rms_deg(one, 1, None if spelled else correction_of(entry))
+    error = heading_error_rms_deg(one, 1, None if spelled else FieldCorrection(**entry["correction"]))
     for name, value in now.items():
         store.set(name, value)
     one.firmware.compasses.parameters_changed()
     if right:
         return "right", max(sigma, float(entry["heading_change_deg"])), error
     return "accepted", sigma, error
-
-
-def correction_of(entry: Entry) -> FieldCorrection:
-    """Read the correction, in body axes."""
-    c = entry["correction"]
-    offsets, diagonals, off_diagonals, motor = (
-        tuple(c[name]) for name in ("offsets_mgauss", "diagonals", "off_diagonals", "motor_mgauss")
-    )
-    return FieldCorrection(offsets, diagonals, off_diagonals, c["scale"], motor, c["motor_source"])
 
 
 def cell(

@@ -86,7 +86,7 @@ def interrupt(kind: str, event: str, seed: int, duration_s: float) -> Outcome | 
     at_s = random.Random(f"{kind} {event} {seed}").uniform(0.5, duration_s)
     with folder() as place:
         scene, stop = Scene(SimulatedAutopilot(kind, seed=seed), place), StopRequest()
-        scene.agenda.append((at_s, happening(event, kind, scene, stop)))
+        scene.at(at_s, happening(event, kind, scene, stop))
         before = state_of(scene.vehicle)
         error: MavCompassError | None = None
         try:

@@ -31,12 +31,14 @@ import tempfile
 import time
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
 
 from campaign import ended, options, resident_mb
+from fault_cells.scene import Scene
 
 from mavcompass.errors import UsageError
-from mavcompass.messages import Incoming, MagCalReport, Message
+from mavcompass.messages import Incoming, MagCalReport
 from mavcompass.service.config import ServiceConfig, StorageConfig, VehicleConfig
 from mavcompass.service.station import Station
 from mavcompass.service.work import clock
@@ -44,7 +46,6 @@ from mavcompass.service.work.history import Entry, History
 from mavcompass.service.work.tasks import CalibrationRequest, Task
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.link import Link
-from mavcompass.vehicle.links.simulated import SimulatedLink
 from mavcompass.vehicle.parameters.undo import load_record
 
 _READY_AFTER_REBOOT_S = 10.0
@@ -98,34 +99,6 @@ class Ended:
     on_full_disk: bool
 
 
-class UnreliableLink(SimulatedLink):
-    """A link that is cut between given times; it counts what reports got through."""
-
-    def __init__(self, vehicle: SimulatedAutopilot, cuts: list[tuple[float, float]]) -> None:
-        super().__init__(vehicle, "sim:soak")
-        self.cuts = cuts
-        self.reports = 0
-
-    def is_cut(self, time_s: float) -> bool:
-        while self.cuts and self.cuts[0][1] <= time_s:
-            self.cuts.pop(0)
-        return bool(self.cuts) and self.cuts[0][0] <= time_s
-
-    def send(self, message: Message) -> None:
-        if self.is_cut(self.now()):
-            return
-        if isinstance(message, MagCalReport):
-            self.reports += 1
-        super().send(message)
-
-    def receive(self, timeout_s: float) -> Incoming | None:
-        end_s = self.now() + timeout_s
-        while True:
-            heard = super().receive(max(end_s - self.now(), 0.0))
-            if heard is None or not self.is_cut(heard.time_s):
-                return heard
-
-
 class Soak:
     """Run one soak."""
 
@@ -148,20 +121,26 @@ class Soak:
         for start in starts:
             start = max(start, windows[-1][1] + 3.0 if windows else begin)
             windows.append((start, start + chance.uniform(0.5, 12.0)))
-        self.ends = [stop for _, stop in windows]
-        self.reboots_at = sorted(chance.uniform(begin, end - 60.0) for _ in range(reboots))
+        reboots_at = sorted(chance.uniform(begin, end - 60.0) for _ in range(reboots))
         spacing_s = (end - begin) / max(calibrations, 1)
         self.calibrations_at = [5.0, *(begin + (k + 0.3) * spacing_s for k in range(1, calibrations))]
-        self.steps_at = sorted(chance.uniform(begin, end) for _ in range(clock_steps))
+        steps_at = sorted(chance.uniform(begin, end) for _ in range(clock_steps))
         self.full_disks = set(chance.sample(range(1, calibrations), min(full_disks, calibrations - 1)))
         self._chance = chance
         self.vehicle = SimulatedAutopilot("rover", seed=seed)
-        self.link = UnreliableLink(self.vehicle, list(windows))
+        self.scene = Scene(self.vehicle, Path())
+        self.link = self.scene.link()
+        for start, stop in windows:
+            self.scene.at(start, partial(setattr, self.scene, "silent_until_s", stop))
+            self.scene.at(stop, self._waits)
+        for when in reboots_at:
+            self.scene.at(when, self.vehicle.reboot)
+        for when in steps_at:
+            self.scene.at(when, self._step_the_clock)
         self.figures = Figures(cuts=cuts, reboots=reboots)
         self._task: Task | None = None
         self._is_full = False
         self._ended: list[Ended] = []
-        self._rearm_at: float | None = None
         self._waiting_since: float | None = None
         self._seen_boots = 0
         self._step_s = 0.0
@@ -207,25 +186,12 @@ class Soak:
     # --- on the station's thread, in virtual time ---------------------------------------------------
 
     def _at(self, station: Station, heard: Incoming) -> None:
-        """Let happen what is due: the end of a cut, a reboot, a pilot who arms again, a calibration."""
+        """Let happen what is due beside the agenda: a calibration, and what follows a reboot."""
         now_s = heard.time_s
-        if self.ends and now_s >= self.ends[0]:
-            self._waiting_since = max(self.ends.pop(0), now_s - 0.5)
         if self.vehicle.boots != self._seen_boots and heard.component == 1 and heard.system == 1:
             self._seen_boots = self.vehicle.boots
-            self._waiting_since = now_s
-            self._rearm_at = now_s + _READY_AFTER_REBOOT_S
-        if self.reboots_at and now_s >= self.reboots_at[0]:
-            self.reboots_at.pop(0)
-            self.vehicle.reboot()
-        if self._rearm_at is not None and now_s >= self._rearm_at:
-            self._rearm_at = None
-            self.vehicle.firmware.modes.enter("GUIDED")  # type: ignore[attr-defined]
-            self.vehicle.firmware.arming.arm(forced=True)  # type: ignore[attr-defined]
-        if self.steps_at and now_s >= self.steps_at[0]:
-            self.steps_at.pop(0)
-            self.figures.clock_steps += 1
-            self._step_s = self._chance.uniform(-_LARGEST_STEP_S, _LARGEST_STEP_S)
+            self._waits()
+            self.scene.at(now_s + _READY_AFTER_REBOOT_S, self._rearm)
         if self._is_full and self._task is not None and self._task.finished:
             fill_disk(None)
         if self.calibrations_at and now_s >= self.calibrations_at[0] and not station.desk.busy:
@@ -240,10 +206,21 @@ class Soak:
 
     def _note_the_end(self) -> None:
         if (task := self._task) is not None:
-            reports, self.link.reports = self.link.reports, 0
+            reports = self.scene.sent.pop(MagCalReport, 0)
             self._ended.append(
                 Ended(task.number, task.ok, task.finished, task.entry, task.error, reports, self._is_full)
             )
+
+    def _waits(self) -> None:
+        self._waiting_since = self.link.now()
+
+    def _rearm(self) -> None:
+        self.vehicle.firmware.modes.enter("GUIDED")  # type: ignore[attr-defined]
+        self.vehicle.firmware.arming.arm(forced=True)  # type: ignore[attr-defined]
+
+    def _step_the_clock(self) -> None:
+        self.figures.clock_steps += 1
+        self._step_s = self._chance.uniform(-_LARGEST_STEP_S, _LARGEST_STEP_S)
 
     def _heading_published(self, now_s: float) -> None:
         if self._waiting_since is not None:

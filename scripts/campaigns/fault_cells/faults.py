@@ -182,7 +182,7 @@ def second_client(scene: Scene) -> None:
 
     write()
     for k in range(scene.chance.choice((0, 0, 5))):
-        scene.agenda.append((scene.vehicle.time_s + 0.4 * (k + 1), write))
+        scene.at(scene.vehicle.time_s + 0.4 * (k + 1), write)
 
 
 def low_battery(scene: Scene) -> None:

@@ -8,6 +8,8 @@ import itertools
 import math
 import os
 import random
+from bisect import insort
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -88,7 +90,7 @@ class Scene:
         foreign, foreign_s: what somebody else wrote, and when last. read_s: when each was read last.
         tracebacks: those in the log, and those that nobody could catch.
         turning_s: when the vehicle was last seen turning. stood_s: when first not, after `at_s`.
-        commanded_s: when it was last told to turn.
+        commanded_s: when it was last told to turn. sent: messages that got through, by kind.
     """
 
     vehicle: SimulatedAutopilot
@@ -117,6 +119,7 @@ class Scene:
     turning_s: float = -math.inf
     stood_s: float = -math.inf
     commanded_s: float = -math.inf
+    sent: Counter[type[Message]] = field(default_factory=Counter)
     tracebacks: list[str] = field(default_factory=list)
     held: dict[str, Carried] = field(default_factory=dict)
 
@@ -185,6 +188,10 @@ class Scene:
         while self.agenda and self.agenda[0][0] <= now_s:
             self.agenda.pop(0)[1]()
 
+    def at(self, time_s: float, happen: Callable[[], None]) -> None:
+        """Let something happen at a time."""
+        insort(self.agenda, (time_s, happen), key=lambda due: due[0])
+
 
 class WatchedLink(SimulatedLink):
     """Be the vehicle's link in virtual time, with the scene's faults on it."""
@@ -250,6 +257,7 @@ class WatchedLink(SimulatedLink):
         scene = self.scene
         if scene.closed or self.now() < scene.silent_until_s:
             return
+        scene.sent[type(carried.message)] += 1
         if isinstance(carried.message, ParamRequestRead):
             scene.read_s[carried.message.param_id] = self.now()
         if moves(carried.message):
