@@ -121,7 +121,7 @@ def restart(
     if desk.builder.restarts == starts:
         raise Refused("The autopilot did not restart.", "Restart it by its power.")
     held = yield from desk.dialect.read_parameters(context, tuple(written.values))
-    lost = [name for name, value in written.values.items() if abs(held.get(name, value + 1.0) - value) > 1e-3]
+    lost = [n for n, value in written.values.items() if n not in held or abs(held[n] - value) > 1e-3]
     if lost:
         raise WriteFailed(
             f"After the restart {lost[0]} is not what was written.",

@@ -5,46 +5,48 @@
     python scripts/campaigns/mutants.py --mutant mavcompass/frames.py#17      # one again
 
 Places are drawn evenly over the code: an operator, a comparison, a condition, a number, what is returned. For
-each the tests that run its line are run, the cheapest first, `--budget` seconds of them as measured: one that
-waits in real time is dear and comes last or not at all. The mutant is caught when one fails or hangs. More
-tests might notice more: the share is a lower bound. Works in a copy; nothing here is changed. Exit code 1
-below `--least` percent.
+each the tests that run its line are run, those of its own folder first and of these the cheapest, `--budget`
+seconds as measured, a quarter of that for one at most: what waits in real time is left out. The mutant is
+caught when one fails or hangs. More tests might notice more: the share is a lower bound. Works in a copy;
+nothing here is changed. Exit code 1 below `--least` percent.
 """
 
 from __future__ import annotations
 
 import argparse
+import ast
 import difflib
 import json
-import math
 import os
 import random
-import resource
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
-import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from itertools import accumulate, takewhile
+from itertools import accumulate
 from pathlib import Path
 
 import pytest
 from coverage import CoverageData
 
+from mavcompass.chance import wilson
+
 PROJECT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from mutation.sites import Site, mutated, sites  # noqa: E402
+from mutation.sites import Site, mutated, sites, swap  # noqa: E402
 from mutation.test_contexts import SECONDS, SOURCES  # noqa: E402
 
 # These try the project's folder itself, which a copy is not.
 _UNFIT = ("tests/test_", "tests/acceptance")
-_QUIET = ("-x", "-q", "-p", "no:cacheprovider", "-n", "0")
+# What one test may take of the budget.
+_ONE = 0.25
+_QUIET = ("-q", "-s", "-p", "no:cacheprovider", "-n", "0")
 
 
 def main() -> int:
@@ -52,17 +54,12 @@ def main() -> int:
     options = _parsed()
     if not options.copied:
         return _in_a_copy(sys.argv[1:])
-    drawn = _drawn(Path.cwd(), options)
-    trial = Trial(Path.cwd(), Covering(options.copied), options.budget)
-    verdicts: dict[Site, Verdict] = {}
-    try:
-        while drawn:
-            verdicts.update((site, trial.verdict(site, number)) for number, site in enumerate(drawn, 1))
-            unsound = trial.unsound({v.caught_by for v in verdicts.values()} - {""})
-            drawn = [site for site, verdict in verdicts.items() if verdict.caught_by in unsound]
-    except KeyboardInterrupt:
-        print("stopped")
-    return 0 if _table(verdicts) >= options.least else 1
+    campaign = Campaign(Path.cwd(), options)
+    rooms = {"/".join(name.split("::")[0].split("/")[:2]) for name in campaign.measured}
+    with open(os.devnull) as nothing:
+        os.dup2(nothing.fileno(), 0)
+    pytest.main([*_QUIET, *sorted(r for r in rooms if not r.startswith(_UNFIT))], plugins=[campaign])
+    return 0 if _table(campaign.verdicts) >= options.least else 1
 
 
 def _parsed() -> argparse.Namespace:
@@ -108,27 +105,27 @@ def _drawn(root: Path, options: argparse.Namespace) -> list[Site]:
 class Covering:
     """Know which tests run a line and what they cost, as `scripts/coverage` has found."""
 
-    def __init__(self, project: Path) -> None:
-        """Read what was found. Raises FileNotFoundError before `scripts/coverage` has run."""
+    def __init__(self, project: Path, measured: dict[str, float], there: Sequence[str]) -> None:
         self._project = project
-        measured: dict[str, float] = json.loads((project / SECONDS).read_text())
-        rooms = {"/".join(name.split("::")[0].split("/")[:2]) for name in measured}
-        there = _collected([room for room in sorted(rooms) if not room.startswith(_UNFIT)])
-        self._seconds = {name: measured.get(name, 0.0) for name in there}
         self._data = CoverageData(str(project / ".coverage"))
         self._data.read()
         # What a test runs that was written since is unknown; those of its room may be meant for a mutant.
         self._since = (project / ".coverage").stat().st_mtime
         self._changed = {name for name in there if self._is_newer(project / name.partition("::")[0])}
+        known = [name for name in there if name in measured or name in self._changed]
+        self._seconds = {name: measured.get(name, 0.0) for name in known}
 
     def tests(self, site: Site, budget_s: float) -> list[str]:
-        """Return the tests that run a place, the cheapest first, as many as the budget allows."""
+        """Return the tests that run a place, as many as the budget allows.
+
+        Those of the folder that mirrors the file's come first, as they are about it; of each the cheapest.
+        """
         lines = self._data.contexts_by_lineno(str(self._project / site.path))
         # What a file does when it is loaded matters to whoever runs anything of it.
         wanted = [self._line_then(site)] if site.in_function else list(lines)
         contexts = {context for line in wanted for context in lines.get(line, ())}
         files = {context.partition(" ")[2] for context in contexts if context.startswith("file ")}
-        room = "tests/" + site.path.split("/")[1] + "/"
+        room, folder = (str(Path("tests", *Path(site.path).parts[1:end])) + "/" for end in (2, -1))
         found = [
             name
             for name in self._seconds
@@ -136,11 +133,10 @@ class Covering:
             or name.partition("::")[0] in files  # a fixture of all its tests
             or (name in self._changed and name.startswith(room))
         ]
-        found.sort(key=self._seconds.__getitem__)
+        found.sort(key=lambda name: (not name.startswith(folder), self._seconds[name]))
+        found = [name for name in found if self._seconds[name] <= _ONE * budget_s]
         spent = accumulate(self._seconds[name] for name in found)
-        return [
-            name for name, _ in takewhile(lambda pair: pair[1] <= budget_s, zip(found, spent, strict=True))
-        ]
+        return [name for name, seconds in zip(found, spent, strict=True) if seconds <= budget_s]
 
     def _is_newer(self, file: Path) -> bool:
         return file.stat().st_mtime > self._since
@@ -156,37 +152,6 @@ class Covering:
         return block.a + min(site.line - block.b, block.size)
 
 
-def _collected(rooms: Sequence[str]) -> list[str]:
-    """List the tests that there are; what they load from elsewhere stays loaded for all mutants."""
-
-    class Collected:
-        names: tuple[str, ...] = ()
-
-        def pytest_collection_finish(self, session: pytest.Session) -> None:
-            self.names = tuple(item.nodeid for item in session.items)
-
-    collected = Collected()
-    with open(os.devnull, "w") as nothing, _stdout(nothing.fileno()):
-        pytest.main([*_QUIET, "--collect-only", *rooms], plugins=[collected])
-    own = str(Path.cwd())
-    for name, module in list(sys.modules.items()):
-        if str(getattr(module, "__file__", "")).startswith(own) and name != "__main__":
-            del sys.modules[name]
-    return list(collected.names)
-
-
-@contextmanager
-def _stdout(descriptor: int) -> Iterator[None]:
-    sys.stdout.flush()
-    kept = os.dup(1)
-    os.dup2(descriptor, 1)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 1)
-        os.close(kept)
-
-
 @dataclass(frozen=True)
 class Verdict:
     """Say whether a mutant was caught, and by which test, where one has failed."""
@@ -195,40 +160,92 @@ class Verdict:
     caught_by: str
 
 
-class Trial:
-    """Try mutants in a copy of the project."""
+class _First:
+    """End a fork with the first test that fails, and note which it was."""
 
-    def __init__(self, root: Path, covering: Covering, budget_s: float) -> None:
-        self._root, self._covering, self._budget_s = root, covering, budget_s
+    def __init__(self, told: Path) -> None:
+        self.told = told
+
+    def pytest_runtest_logstart(self, nodeid: str, location: object) -> None:
+        self.told.write_text(nodeid)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.failed:
+            os._exit(1)
+
+
+class Campaign(_First):
+    """Try mutants in a copy: a plug-in of pytest, in whose forks the tests are loaded already."""
+
+    def __init__(self, root: Path, options: argparse.Namespace) -> None:
+        """Read what was found. Raises FileNotFoundError before `scripts/coverage` has run."""
+        self._root, self._options = root, options
+        self.measured: dict[str, float] = json.loads((options.copied / SECONDS).read_text())
+        self.verdicts: dict[Site, Verdict] = {}
+        self._items: dict[str, pytest.Item] = {}
         self._unsound: set[str] = set()
-        self._failed = root.parent / "failed"
+        super().__init__(root.parent / "failed")
 
-    def verdict(self, site: Site, number: int) -> Verdict:
-        """Try one."""
-        text, what = mutated(self._root, site)
-        tests = [t for t in self._covering.tests(site, self._budget_s) if t not in self._unsound]
-        with _changed(self._root / site.path, text, number):
-            failed = self._failing(tests)
-        told = "survived" if failed is None else "hung or did not load" if not failed else ""
-        if told:
+    def pytest_runtestloop(self, session: pytest.Session) -> bool:
+        """Try the drawn ones in place of running the tests."""
+        self._items = {item.nodeid: item for item in session.items}
+        covering = Covering(self._options.copied, self.measured, list(self._items))
+        drawn = _drawn(self._root, self._options)
+        with suppress(KeyboardInterrupt):
+            while drawn:
+                for number, site in enumerate(drawn, 1):
+                    self._try(site, number, covering.tests(site, self._options.budget))
+                unsound = self._fail_anyway({v.caught_by for v in self.verdicts.values()} - {""})
+                drawn = [site for site, verdict in self.verdicts.items() if verdict.caught_by in unsound]
+        return True
+
+    def _try(self, site: Site, number: int, covering: Sequence[str]) -> None:
+        tree, what = mutated(self._root, site)
+        path, tests = self._root / site.path, [test for test in covering if test not in self._unsound]
+
+        def run() -> bool:
+            return self._passes(tests) if site.in_function and swap(tree, path) else self._pass_anew(tests)
+
+        with _changed(path, ast.unparse(tree), number):
+            failed = self._failing(run, site) if tests else None
+        if not failed:
+            told = "survived" if failed is None else "did not load"
             print(f"  {site} line {site.line}, {len(tests)} tests, {told}: {what}", flush=True)
-        return Verdict(failed is not None, failed or "")
+        self.verdicts[site] = Verdict(failed is not None, failed or "")
 
-    def unsound(self, tests: set[str]) -> set[str]:
+    def _fail_anyway(self, tests: set[str]) -> set[str]:
         """Find those among tests that fail as it is, which are not asked again."""
         found: set[str] = set()
-        while failed := self._failing(sorted(tests - found)):
+        while failed := self._failing(lambda: self._passes(sorted(tests - found)), "no mutant"):
             print(f"  left out, fails as it is: {failed}", flush=True)
             found.add(failed)
         self._unsound |= found
         return found
 
-    def _failing(self, tests: Sequence[str]) -> str | None:
-        """Run tests in a forked process; return the first that fails, "" where none can be named."""
-        self._failed.unlink(missing_ok=True)
-        if not tests or _forked(tests, self._failed, self._budget_s):
+    def _failing(self, run: Callable[[], bool], about: object) -> str | None:
+        """Run tests in a forked process; return the first that fails or hangs, "" where none began."""
+        self.told.write_text("")
+        if (status := _forked(run)) == 0:
             return None
-        return self._failed.read_text() if self._failed.exists() else ""
+        if os.WIFSIGNALED(status):
+            print(f"  {about}: hung in {self.told.read_text()}", flush=True)
+        return self.told.read_text()
+
+    def _passes(self, tests: Sequence[str]) -> bool:
+        items = [self._items[test] for test in tests]
+        for item, following in zip(items, [*items[1:], None], strict=True):
+            signal.alarm(_hangs_s(self.measured.get(item.nodeid, 0.0)))
+            item.ihook.pytest_runtest_protocol(item=item, nextitem=following)
+        return True
+
+    def _pass_anew(self, tests: Sequence[str]) -> bool:
+        """Load all of the project again: what a file does when it is loaded was changed."""
+        own = str(self._root)
+        for name, module in list(sys.modules.items()):
+            if str(getattr(module, "__file__", "")).startswith(own) and name != "__main__":
+                del sys.modules[name]
+        signal.alarm(_hangs_s(self._options.budget))
+        return pytest.main([*_QUIET, *tests], plugins=[_First(self.told)]) == pytest.ExitCode.OK
 
 
 @contextmanager
@@ -243,38 +260,29 @@ def _changed(path: Path, text: str, number: int) -> Iterator[None]:
         path.write_bytes(original)
 
 
-def _forked(tests: Sequence[str], failed: Path, budget_s: float) -> bool:
-    """Tell whether tests pass in a forked process, which is ended by force where it hangs."""
+def _hangs_s(usual_s: float) -> int:
+    """Say after how long tests hang: the first of a file makes what all of it use, on a busy machine."""
+    return 60 + round(5.0 * usual_s)
+
+
+def _forked(run: Callable[[], bool]) -> int:
+    """Run tests in a forked process and return its status; what they started ends with it."""
     sys.stdout.flush()
     child = os.fork()
     if child == 0:
         status = 1
         try:
             os.setsid()
-            limit_s = int(3.0 * budget_s + 20.0)
-            resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s))
             nothing = os.open(os.devnull, os.O_RDWR)
-            for descriptor in (0, 1, 2):
+            for descriptor in (1, 2):
                 os.dup2(nothing, descriptor)
-
-            class Watch:
-                def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-                    if report.failed:
-                        failed.write_text(report.nodeid)
-
-            status = int(pytest.main([*_QUIET, *tests], plugins=[Watch()]))
+            status = 0 if run() else 1
         finally:
             os._exit(status)
-    status, end_s = -1, time.monotonic() + 10.0 * budget_s + 60.0
-    while time.monotonic() < end_s and status == -1:
-        time.sleep(0.02)
-        ended, told = os.waitpid(child, os.WNOHANG)
-        status = told if ended else -1
+    _, status = os.waitpid(child, 0)
     with suppress(ProcessLookupError):
-        os.killpg(child, signal.SIGKILL)  # what its tests started ends with it
-    if status == -1:
-        os.waitpid(child, 0)
-    return status == 0
+        os.killpg(child, signal.SIGKILL)
+    return status
 
 
 def _table(verdicts: dict[Site, Verdict]) -> float:
@@ -283,18 +291,9 @@ def _table(verdicts: dict[Site, Verdict]) -> float:
     for room in sorted({room for room, _ in count}):
         print(f"{room:20}{count[room, True]:>6} caught{count[room, False]:>6} survived")
     caught, n = sum(verdict.caught for verdict in verdicts.values()), len(verdicts)
-    low, high = _interval(caught, n)
+    low, high = (100.0 * share for share in wilson(caught, n))
     print(f"{caught} of {n} caught = {100.0 * caught / max(n, 1):.1f} % ({low:.1f} .. {high:.1f})")
     return 100.0 * caught / max(n, 1)
-
-
-def _interval(caught: int, n: int) -> tuple[float, float]:
-    """Return Wilson's 95 % interval, in percent."""
-    if n == 0:
-        return 0.0, 100.0
-    z, share = 1.96, caught / n
-    middle, half = share + z * z / (2 * n), z * math.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
-    return 100.0 * (middle - half) / (1 + z * z / n), 100.0 * (middle + half) / (1 + z * z / n)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavcompass.calibration.result import CalibrationResult
+from mavcompass.calibration.result import CalibrationResult, Mounting
 from mavcompass.correction import FieldCorrection
 from mavcompass.procedure.dialect import Change, ParameterPlan, WriteOutcome
 from mavcompass.procedure.report import CalibrationReport
@@ -37,7 +37,7 @@ class Vehicle:
         self, plan: ParameterPlan = PLAN, trouble: Exception | None = None, raw: bool = False
     ) -> None:
         self.written: list[ParameterPlan] = []
-        self.builder_heard: list[tuple[int, FieldCorrection]] = []
+        self.builder_heard: list[tuple[int, Any]] = []
 
         def write(context: Any, plan: ParameterPlan, save_undo: Any) -> Any:
             self.written.append(plan)
@@ -50,7 +50,11 @@ class Vehicle:
             write=write,
             raw_rotation=lambda parameters, instance: np.eye(3) if raw else None,
         )
-        builder = SimpleNamespace(set_correction=lambda i, c: self.builder_heard.append((i, c)))
+        builder = SimpleNamespace(
+            set_correction=lambda i, c: self.builder_heard.append((i, c)),
+            turn=lambda i, _: self.builder_heard.append((i, "turned")),
+            set_raw=lambda i, *_: self.builder_heard.append((i, "raw")),
+        )
         state = SimpleNamespace(reporting={1})
         self.desk: Any = SimpleNamespace(
             context=Context(), parameters={}, dialect=dialect, builder=builder, state=state
@@ -74,11 +78,19 @@ def test_a_plan_is_written_and_what_was_said_of_it_is_kept() -> None:
     machine, actions = vehicle.does(writer(vehicle).write(report()))
     assert machine.result.outcome is OUTCOME and machine.result.plan is PLAN and vehicle.written == [PLAN]
     assert machine.result.messages == ("It is slow.",) and not any(isinstance(a, Ask) for a in actions)
-    # From now on what is heard is corrected by it; a raw reading stays raw.
-    assert vehicle.builder_heard == [(1, FOUND)]
-    raw = Vehicle(raw=True)
-    raw.does(writer(raw).write(report()))
-    assert raw.written and raw.builder_heard == []
+
+
+@pytest.mark.parametrize(
+    ("raw", "turned", "heard"),
+    [(False, False, [FOUND]), (False, True, ["turned", FOUND]), (True, False, []), (True, True, ["raw"])],
+)
+def test_what_is_heard_from_now_on_is_corrected_by_it_and_a_raw_reading_stays_raw(
+    raw: bool, turned: bool, heard: list[Any]
+) -> None:
+    vehicle, found = Vehicle(raw=raw), report()
+    mounted = replace(found.results[0], mounting=Mounting(turned=np.eye(3) if turned else None))
+    vehicle.does(writer(vehicle).write(replace(found, results=(mounted,))))
+    assert vehicle.builder_heard == [(1, what) for what in heard]
 
 
 def test_a_plan_that_is_refused_is_not_written() -> None:

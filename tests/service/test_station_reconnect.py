@@ -81,14 +81,17 @@ def test_a_connection_that_breaks_is_back_within_two_seconds(tcp_station: Callab
         vehicle.switch_off()
 
 
-def test_the_service_may_be_there_before_the_vehicle(tcp_station: Callable[[int], Station]) -> None:
+def test_the_service_may_be_there_before_the_vehicle(
+    tcp_station: Callable[[int], Station], caplog: pytest.LogCaptureFixture
+) -> None:
     vehicle = Vehicle()
     vehicle.switch_on()
     vehicle.switch_off()
     station = tcp_station(vehicle.port)
     try:
-        wait_for(lambda: station.link_error)
+        wait_for(lambda: station.beat >= 2)
         assert "could not be opened" in station.link_error
+        assert caplog.messages == [station.link_error], "the journal has it once"
         assert not station.connected
         vehicle.switch_on()
         wait_for(lambda: station.connected)

@@ -15,7 +15,7 @@ from serving import serving
 
 from mavcompass.cli.main import main
 from mavcompass.errors import Refused
-from mavcompass.messages import Attitude, AutopilotVersion, CommandLong, RawImu, SystemTime
+from mavcompass.messages import Attitude, AutopilotVersion, CommandAck, CommandLong, RawImu, SystemTime
 from mavcompass.procedure.nameplate import read_nameplate
 from mavcompass.procedure.script import Context, Machine, Script, pause
 from mavcompass.procedure.vehicle_state import find_vehicle
@@ -159,6 +159,8 @@ def test_two_answers_to_who_are_you_are_of_two(uids: tuple[int, ...]) -> None:
     class Both(MemoryVehicle):
         def receive(self, message: object, system: int, component: int, port: int = 0) -> None:
             if isinstance(message, CommandLong):
+                self.say(CommandAck(message.command))
+                self.say(CommandAck(115, 4))  # a refusal, of what somebody else asked for
                 for uid in uids:
                     self.say(AutopilotVersion(uid=uid), 0.05)
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ast
+import gc
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from types import CodeType, FunctionType
 
 _COMPARED: dict[type[ast.cmpop], type[ast.cmpop]] = {
     ast.Lt: ast.LtE,
@@ -68,14 +70,36 @@ def sites(root: Path, path: str) -> list[Site]:
     ]
 
 
-def mutated(root: Path, site: Site) -> tuple[str, str]:
-    """Return the file's text with the place changed, and a line that says what was done."""
+def mutated(root: Path, site: Site) -> tuple[ast.Module, str]:
+    """Return the file with the place changed, and a line that says what was done."""
     tree = ast.parse((root / site.path).read_text())
     node, change = list(_changes(tree))[site.number]
     before = ast.unparse(node)
     change()
-    ast.fix_missing_locations(tree)
-    return ast.unparse(tree), f"{_short(before)}  ->  {_short(ast.unparse(node))}"
+    return ast.fix_missing_locations(tree), f"{_short(before)}  ->  {_short(ast.unparse(node))}"
+
+
+def swap(tree: ast.Module, path: Path) -> bool:
+    """Give the functions that a file has defined the code of the changed one; False where that cannot be."""
+    code_of: dict[tuple[str, int], CodeType | None] = {}
+    for code in _codes(compile(tree, str(path), "exec", dont_inherit=True)):
+        place = code.co_qualname, code.co_firstlineno
+        code_of[place] = None if place in code_of else code  # of two in a line none can be told
+    for thing in gc.get_objects():
+        if type(thing) is FunctionType and thing.__code__.co_filename == str(path):
+            code = code_of.get((thing.__code__.co_qualname, thing.__code__.co_firstlineno))
+            try:
+                thing.__code__ = code or thing.__code__
+            except ValueError:  # it uses other names of what is around it
+                return False
+    return True
+
+
+def _codes(code: CodeType) -> Iterator[CodeType]:
+    for part in code.co_consts:
+        if isinstance(part, CodeType):
+            yield part
+            yield from _codes(part)
 
 
 def _short(text: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -129,14 +128,3 @@ def test_a_stop_in_the_air_tells_the_copter_to_land(tmp_path: Path) -> None:
         calibrated(vehicle, tmp_path, allow(permissions), shown=shown, stop=stop)
     vehicle.advance(vehicle.time_s + 40.0)
     assert vehicle.body.landed and not vehicle.firmware.reports.heartbeat().base_mode & 128
-
-
-@pytest.mark.parametrize("by", [("rc-override", "MANUAL"), ("manual-control", "MANUAL")])
-def test_the_pilots_controls_are_used_only_when_asked_for(by: Sequence[str], tmp_path: Path) -> None:
-    from mavcompass.vehicle.link import GROUND_STATION
-
-    vehicle = SimulatedAutopilot("rover", seed=1)
-    vehicle.pilot_switches_mode(by[1])
-    settings = CalibrateSettings(motion="vehicle", writing="yes", turn_by=by[0])  # type: ignore[arg-type]
-    report = calibrated(vehicle, tmp_path, settings, identity=GROUND_STATION)
-    assert report.written and heading_error_rms_deg(vehicle) < 0.5

@@ -138,22 +138,6 @@ def test_a_heading_target_ends_by_itself_when_the_link_dies() -> None:
     assert abs(vehicle.body.yaw_rate_radps) < math.radians(5.0)
 
 
-def test_a_way_that_does_not_move_the_vehicle_is_replaced_by_the_next_saying_so() -> None:
-    vehicle = bent_vehicle("copter", seed=1)
-    gyro = GyroAngle()
-    shown: list[str] = []
-
-    def script(context: Context, state: VehicleState) -> Script[float]:
-        yield from MessageRates().ask(context, {mav.RawImu: 25.0})
-        # A bare yaw rate is what a copter ignores and a rover takes.
-        ways = (*strategies_for("rover", "ardupilot")[1:2], *strategies_for("copter", "ardupilot"))
-        yield from VehicleMover(gyro, ways).next(context, math.radians(90.0), 1)
-        return math.degrees(gyro.angle_rad)
-
-    assert perform(vehicle, script, (gyro.hear,), shown=shown) > 60.0
-    assert "yaw rate targets did not move the vehicle; trying CONDITION_YAW." in shown
-
-
 def test_a_vehicle_that_nothing_moves_is_told_as_such() -> None:
     vehicle = bent_vehicle("rover", seed=1)
     vehicle.jam()

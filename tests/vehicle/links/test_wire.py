@@ -258,6 +258,19 @@ def test_a_peer_that_does_not_read_costs_only_its_own_messages() -> None:
         assert frames * 20 > SEND_BUFFER_BYTES
 
 
+def test_what_a_connection_that_was_cut_does_not_take_is_counted() -> None:
+    with closing(open_transport(TcpIn("127.0.0.1", 0))) as server:
+        peer = socket.create_connection(("127.0.0.1", int(server.name.rpartition(":")[2])))
+        while not server.peers():
+            server.wait(0.1)
+            server.read()
+        link = WireLink(server)
+        link.send(Heartbeat())
+        peer.close()  # with something unread: it is reset
+        link.send(Heartbeat())
+        assert link.statistics.dropped == 1 and server.peers() == []
+
+
 def test_a_link_that_was_closed_says_so() -> None:
     link = open_link(UdpIn("127.0.0.1", 0))
     link.close()
