@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,12 +39,15 @@ def intervals(problem: Problem, fit: Fit) -> list[dict[str, _Interval]]:
     """Return the 95 % interval of each parameter of each effect of a fit.
 
     Of what was fitted it is that of errors that may last for seconds (`Problem.lasting_covariance`); of what
-    has no derivative, as a threshold, the values that
+    the fit does without, that of a fit with it; of what has no derivative, as a threshold, the values that
     fit as well (Venzon and Moolgavkar, Applied Statistics 37, 1988, with the other values held).
     """
     if not fit.terms:
         return []
-    sigmas = _sigmas(problem, fit)
+    whole = replace(fit, terms=tuple(make_term(t.effect, problem.replay.signals) for t in fit.terms))
+    sigmas = _sigmas(problem, whole)
+    for term, needed, sigma in zip(fit.terms, _sigmas(problem, fit), sigmas, strict=True):
+        sigma[term.free] = needed[term.free]
     out = []
     for place, (term, theta) in enumerate(zip(fit.terms, fit.thetas, strict=True)):
         told = {}

@@ -8,6 +8,8 @@ solution is that of Rauch, Tung and Striebel's smoother.
 
 from __future__ import annotations
 
+import copy
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,13 +31,16 @@ class Reduced:
 
     def __init__(self, diagonal: FloatArray, beside: FloatArray) -> None:
         """Take the blocks on the diagonal (K, n, n) and those right of them (K - 1, n, n)."""
+        self.log_determinant = 0.0
         self._rounds: list[_Round] = []
         while len(diagonal) > 1:
             odd = diagonal[1::2]
             one = _Round(np.asarray(np.linalg.inv(odd)), beside[::2].transpose(0, 2, 1), beside[1::2])
+            self.log_determinant += float(np.linalg.slogdet(odd)[1].sum())
             self._rounds.append(one)
             diagonal, beside = one.left_of(diagonal[::2])
         self._last = np.asarray(np.linalg.inv(diagonal))
+        self.log_determinant += float(np.linalg.slogdet(diagonal)[1].sum())
 
     def solve(self, right: FloatArray) -> FloatArray:
         """Solve for right hand sides (K, n, C)."""
@@ -94,11 +99,13 @@ class Solved:
 
     Attributes:
         states: (K, n). constants: (m,); constants_covariance: (m, m).
+        deviance: minus twice the logarithm of the likelihood of all that was added, up to a constant.
     """
 
     states: FloatArray
     constants: FloatArray
     constants_covariance: FloatArray
+    deviance: float
     _reduced: Reduced
     _bent: FloatArray
 
@@ -135,15 +142,24 @@ class Chain:
         self._corner = np.zeros((constants, constants))
         self._right = np.zeros((length, width))
         self._corner_right = np.zeros(constants)
+        self._squares = 0.0
+        self._log_weights = 0.0
 
-    def add(self, at: slice, J: FloatArray, c: FloatArray | None, y: FloatArray, w: FloatArray) -> None:
-        """Add equations of single states: J[k] x_k + c[k] c = y[k]."""
+    def copy(self) -> Chain:
+        """Return a chain to which more can be added."""
+        return copy.deepcopy(self)
+
+    def add(
+        self, at: slice, J: FloatArray, c: FloatArray | None, y: FloatArray, w: FloatArray, share: float = 1.0
+    ) -> None:
+        """Add equations of single states: J[k] x_k + c[k] c = y[k]; each is news but for a `share`."""
+        w = share * w
         weighted = (J * w[:, :, None]).transpose(0, 2, 1)
         self._diagonal[at] += weighted @ J
         self._right[at] += np.einsum("kim,km->ki", weighted, y)
         if c is not None:
             self._border[at] += weighted @ c
-        self._count(c, y, w)
+        self._count(c, y, w, share)
 
     def link(
         self, before: FloatArray, after: FloatArray, c: FloatArray | None, y: FloatArray, w: FloatArray
@@ -171,17 +187,22 @@ class Chain:
         own[1:] += w
         own[0] += first
         self._beside[:, state, state] -= keep * w
+        self._log_weights += float(np.log(w).sum()) + math.log(first)
 
     def know(self, mean: FloatArray, sigma: FloatArray) -> None:
         """Add what is known of the constants, (m,) each."""
         self._corner += np.diag(sigma**-2.0)
         self._corner_right += mean * sigma**-2.0
+        self._squares += float(np.sum((mean / sigma) ** 2))
+        self._log_weights -= 2.0 * float(np.log(sigma).sum())
 
-    def _count(self, c: FloatArray | None, y: FloatArray, w: FloatArray) -> None:
+    def _count(self, c: FloatArray | None, y: FloatArray, w: FloatArray, share: float = 1.0) -> None:
         if c is not None:
             weighted = c * w[:, :, None]
             self._corner += np.einsum("kmi,kmj->ij", weighted, c)
             self._corner_right += np.einsum("kmi,km->i", weighted, y)
+        self._squares += float((w * y * y).sum())
+        self._log_weights += share * float(np.log(w[w > 0.0] / share).sum())
 
     def solve(self) -> Solved:
         """Solve for states and constants."""
@@ -195,7 +216,12 @@ class Chain:
         covariance = np.asarray(np.linalg.inv(schur))
         found = covariance @ (self._corner_right - border.T @ both[:, 0])
         states = both[:, 0] - bent @ found
-        return Solved(states.reshape(length, width), found, covariance, reduced, bent)
+        misfit = self._squares - float(self._right.ravel() @ states) - float(self._corner_right @ found)
+        determinants = reduced.log_determinant + float(np.linalg.slogdet(schur)[1])
+        return Solved(
+            states.reshape(length, width), found, covariance, misfit + determinants - self._log_weights,
+            reduced, bent,
+        )  # fmt: skip
 
 
 def silences(clock: FloatArray) -> NDArray[np.bool_]:

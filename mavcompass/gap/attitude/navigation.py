@@ -28,6 +28,7 @@ from mavcompass.gap.attitude.smoother import (
     PHI,
     SCALE,
     SCALE_SIGMA,
+    USUAL_V_MPS,
     Sensed,
     Smoother,
     Witness,
@@ -99,11 +100,14 @@ def smoothed_attitude(
     scale_sigma: float = SCALE_SIGMA,
 ) -> Smoothed:
     """Smooth a first trajectory (N, 3, 3); its yaw must be about that of the velocity, if there is one."""
-    smoother = Smoother(sensed, bias, velocity, witness, scale_sigma)
+    smoother, bound_mps = Smoother(sensed, bias, velocity, witness, scale_sigma), USUAL_V_MPS
     rotation, trust = smoother.through(smoother.at_knots(start)), smoother.full_trust()
     solved: Solved | None = None
     for turn in range(_PASSES):
-        solved = smoother.chain(rotation, trust).solve()
+        chain = smoother.chain(rotation, trust)
+        if turn == 1:
+            bound_mps = smoother.likeliest_bound(chain)
+        solved = smoother.bounded(chain, bound_mps).solve()
         before, trust = trust, smoother.trust(solved)
         phi = solved.states[:, PHI]
         rotation = smoother.through(exponentials(phi) @ smoother.at_knots(rotation))

@@ -51,7 +51,7 @@ LOST_YAW_RAD, _UNKNOWN_V_MPS = math.radians(60.0), 100.0
 _RECEIVER_MEMORY_S, _VELOCITY_MEMORY_S, _OUTLIER = 1.0, 10.0, 2.5
 # A velocity is contradicted where more is left of it than it varies by, and than so many of its errors.
 _BORNE_OUT = 2.0
-_USUAL_V_MPS = 2.0
+USUAL_V_MPS, _VELOCITIES_MPS = 2.0, (0.2, 0.6, 2.0, 6.0)
 # An autopilot's level is made of the same sensors, and its filter errs as the vehicle turns: it bounds the
 # level, and carries it over what was lost.
 _LEVEL_RAD, _LEVEL_MEMORY_S, _LEVEL_SCATTER_RAD = math.radians(2.0), 20.0, math.radians(0.5)
@@ -126,7 +126,7 @@ class Smoother:
             self._unturned = np.where(known, _TOLD_TURN_RAD**2 + bent**2, self._unturned)
 
     def chain(self, rotation: FloatArray, trust: FloatArray) -> Chain:
-        """Return all equations about a trajectory (N, 3, 3)."""
+        """Return all equations about a trajectory (N, 3, 3) but those whose size is still to be found."""
         chain = Chain(self.knots.size, _STATES, _CONSTANTS)
         at, turn, gain = self.at_knots(rotation), *self._integrals(rotation)
         force = np.einsum("nij,nj->ni", rotation, self.force)
@@ -159,15 +159,28 @@ class Smoother:
         self._add_lasting(chain, _FAST, _FAST_RAD, _FAST_MEMORY_S, _BEGINS_RAD)
         if self.seen is not None:
             self._add_velocity(chain, self.seen, trust)
-        else:
-            J, none = _blank(self.knots.size, 3), np.zeros((self.knots.size, 3))
-            J[:, :, _V] = np.eye(3)
-            news = min(1.0, self.news_s / _VELOCITY_MEMORY_S)
-            chain.add(slice(None), J, None, none, none + news * _USUAL_V_MPS**-2.0)
         if self._told is not None and self.witness is not None:
             turned = np.concatenate([[0.0], np.cumsum(gain[:, 2].sum(axis=1))])
             self._add_witness(chain, at, self._told, self.witness, turned)
         return chain
+
+    def bounded(self, chain: Chain, velocity_mps: float) -> Chain:
+        """Return a chain whose velocity, where nobody tells it, stays within a bound."""
+        if self.seen is not None:
+            return chain
+        chain = chain.copy()
+        news = min(1.0, self.news_s / _VELOCITY_MEMORY_S)
+        J = _blank(self.knots.size, 3)
+        J[:, :, _V] = np.eye(3)
+        none = np.zeros((self.knots.size, 3))
+        chain.add(slice(None), J, None, none, none + velocity_mps**-2.0, news)
+        return chain
+
+    def likeliest_bound(self, chain: Chain) -> float:
+        """Choose the bound of an unseen velocity that the recording makes likeliest, m/s."""
+        if self.seen is not None:
+            return USUAL_V_MPS
+        return min(_VELOCITIES_MPS, key=lambda v: self.bounded(chain, v).solve().deviance)
 
     def full_trust(self) -> FloatArray:
         """Return the weights of a receiver's velocities (K, 3) before anything is known of them."""

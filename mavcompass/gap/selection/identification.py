@@ -15,7 +15,7 @@ import numpy as np
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.hypothesis import Fit, Mask, Term
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.fit.search import Search
+from mavcompass.gap.fit.search import Search, pruned
 from mavcompass.gap.left.floor import Floor, kind_of, measured_noise, widened
 from mavcompass.gap.left.scatter import Scatter, find_scatter, noise_with
 from mavcompass.gap.replay.noise import Noise
@@ -192,7 +192,7 @@ def _searched(
     result = Identified(problem, split, found, posterior.best.fit, search, problem, posterior)
     result = _moments_in_training(result)
     result.search.forget()
-    return result, floor
+    return replace(result, fit=pruned(result.problem, result.fit)), floor
 
 
 def _moments_in_training(candidate: Identified) -> Identified:

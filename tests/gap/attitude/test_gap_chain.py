@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -47,6 +48,14 @@ class Dense:
     def covariance(self) -> FloatArray:
         J, _ = self.whitened
         return np.asarray(np.linalg.inv(J.T @ J))
+
+    def deviance(self) -> float:
+        """Return -2 log of the integral of all equations' normal densities over the unknowns."""
+        J, y = self.whitened
+        left = y - J @ self.solution()
+        densities = float(left @ left) + sum(math.log(2.0 * math.pi * s**2) for s in self.sigmas)
+        integral = J.shape[1] * math.log(2.0 * math.pi) - float(np.linalg.slogdet(J.T @ J)[1])
+        return densities - integral
 
 
 class Both:
@@ -141,3 +150,61 @@ def test_covariance_with_sums_of_some_states_is_that_of_the_dense_inverse(seed: 
     wanted = dense[: length * width, rows] @ sums.reshape(rows.size, 3)
     found = solved.covariance_with(which, sums)
     np.testing.assert_allclose(found, wanted.reshape(length, width, 3), rtol=1e-7, atol=1e-10)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_deviance_differs_between_equations_as_the_dense_likelihood_does(seed: int) -> None:
+    # Other values and other weights of as many equations: what remains is one constant for all.
+    apart = []
+    for draw in range(4):
+        rng = np.random.default_rng([seed, 78])
+        length, width, constants = (int(rng.integers(a, b)) for a, b in ((3, 9), (1, 5), (1, 4)))
+        other = np.random.default_rng([seed, draw, 79])
+        both = Both(length, width, constants)
+        both.add(other, slice(None), width + 1, True)
+        both.link(other, width, True)
+        both.know(other.normal(size=constants), other.uniform(0.2, 2.0, constants))
+        equations = len(both.dense.values)
+        apart.append(
+            both.chain.solve().deviance
+            - both.dense.deviance()
+            + (equations - length * width - constants) * math.log(2.0 * math.pi)
+        )
+    np.testing.assert_allclose(apart, 0.0, atol=1e-7)
+
+
+def test_likelier_size_of_a_random_walk_has_the_smaller_deviance() -> None:
+    rng = np.random.default_rng(5)
+    true = 0.3
+    path = np.cumsum(rng.normal(0.0, true, 400))
+    seen = path + rng.normal(0.0, 0.2, path.size)
+
+    def deviance(step: float) -> float:
+        chain = Chain(path.size, 1, 1)
+        one, none = np.ones((path.size - 1, 1, 1)), np.zeros((path.size - 1, 1))
+        chain.link(-one, one, None, none, none + step**-2.0)
+        chain.add(slice(None), np.ones((path.size, 1, 1)), None, seen[:, None], np.full((path.size, 1), 25.0))
+        chain.know(np.zeros(1), np.ones(1))
+        return chain.solve().deviance
+
+    assert deviance(true) < min(deviance(0.5 * true), deviance(2.0 * true))
+
+
+def test_what_is_added_to_a_copy_does_not_change_the_chain() -> None:
+    both = some_chain(3)
+    before = both.chain.solve()
+    rng = np.random.default_rng(6)
+    length, width, constants = both.shape
+    more = both.chain.copy()
+    more.add(
+        slice(None),
+        drawn(rng, length, 2, width),
+        drawn(rng, length, 2, constants),
+        drawn(rng, length, 2),
+        np.ones((length, 2)),
+    )
+    more.know(np.ones(constants), np.ones(constants))
+    after = both.chain.solve()
+    np.testing.assert_array_equal(after.states, before.states)
+    assert after.deviance == before.deviance
+    assert np.abs(more.solve().states - before.states).max() > 1e-3

@@ -38,12 +38,13 @@ def dense(diagonal: FloatArray, beside: FloatArray) -> FloatArray:
 
 @pytest.mark.parametrize("width", [1, 2, 5])
 @pytest.mark.parametrize("length", [1, 2, 3, 4, 5, 7, 8, 9, 16, 17, 31])
-def test_solution_is_that_of_the_dense_matrix(length: int, width: int) -> None:
+def test_solution_and_determinant_are_those_of_the_dense_matrix(length: int, width: int) -> None:
     diagonal, beside = drawn(length, width)
     matrix, reduced = dense(diagonal, beside), Reduced(diagonal, beside)
     right = np.random.default_rng(5).normal(size=(length, width, 3))
     wanted = np.linalg.solve(matrix, right.reshape(length * width, 3))
     np.testing.assert_allclose(reduced.solve(right).reshape(wanted.shape), wanted, rtol=1e-6, atol=1e-9)
+    assert reduced.log_determinant == pytest.approx(np.linalg.slogdet(matrix)[1])
 
 
 def test_a_long_chain_is_solved_as_exactly_as_by_a_banded_factor() -> None:
