@@ -47,7 +47,7 @@ ROWS = {
     "simulation": [
         {"heading_error"},
         {"vehicle"},
-        {"ardupilot", "px4", "happenings"},
+        {"ardupilot", "px4"},
         {"autopilot", "effects"},
         {"physics"},
     ],

@@ -26,7 +26,7 @@ from mavcompass.gap.replay.nominal import Replay, replay
 from mavcompass.gap.replay.rows import shared_period_s
 from mavcompass.gap.result import Cause, Closing, Diagnosis, plain
 from mavcompass.simulation.effects import catalogue, get
-from mavcompass.simulation.effects.effect import Chain
+from mavcompass.simulation.effects.effect import Distortion
 from mavcompass.track import Track
 
 SCHEMA = "mavcompass.gap-compare/1"
@@ -201,7 +201,7 @@ def _made(diagnosis: Diagnosis, replayed: Replay) -> FloatArray:
     """Return what the causes make of the field on a recording's motion, (N, 3)."""
     # Of a flight with what was found in another, the likeliest of that is what it has.
     causes = (c for c in diagnosis.causes or diagnosis.look_alikes if get(c.effect).kind == "mean")
-    return Chain(settings_of(causes)).run(replayed.signals, None).reading.mag_mgauss
+    return Distortion(settings_of(causes)).run(replayed.signals, None).reading.mag_mgauss
 
 
 def _give(forth: Diagnosis, simulator: Track, replayed: Replayed) -> None:

@@ -13,21 +13,20 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Collection, Mapping, MutableMapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, MutableMapping, Sequence
 
 from mavcompass.enums import MavAutopilot, MavState, MavType
 from mavcompass.messages import Heartbeat, Message
 from mavcompass.simulation.ardupilot import ArduPilot
-from mavcompass.simulation.autopilot import Board, Firmware, Outgoing, Sender
-from mavcompass.simulation.happenings import Happenings
+from mavcompass.simulation.autopilot.board import Board, Outgoing
+from mavcompass.simulation.autopilot.firmware import Firmware, Sender
 from mavcompass.simulation.physics.compasses import Calibration, CompassSetup, draw_compasses
+from mavcompass.simulation.physics.hand import HandMove
 from mavcompass.simulation.physics.motion import Body, Drive
 from mavcompass.simulation.physics.noise import generator
 from mavcompass.simulation.physics.profiles import profile
-from mavcompass.simulation.physics.scenery import draw_world
-from mavcompass.simulation.physics.sensors import COMPASS_PERIOD_US, Distortion
-from mavcompass.simulation.physics.truth import Truth, truth_of
-from mavcompass.simulation.physics.world import DEFAULT_UTC_S
+from mavcompass.simulation.physics.sensors import COMPASS_PERIOD_US, Distortion, Truth, truth_of
+from mavcompass.simulation.physics.world import DEFAULT_UTC_S, draw_world
 from mavcompass.simulation.px4 import Px4
 
 GROUND_STATION = (255, 190)
@@ -35,7 +34,7 @@ _HEARTBEAT_US = 1_000_000
 _UPTIME_AT_START_US = 60_000_000
 
 
-class SimulatedAutopilot(Happenings):
+class SimulatedAutopilot:
     """Behave as a vehicle's flight controller does, towards messages of `mavcompass.messages`."""
 
     def __init__(
@@ -157,6 +156,40 @@ class SimulatedAutopilot(Happenings):
         sent, self.board.sent = self.board.sent, []
         sent.sort(key=_leaving_time)
         return sent
+
+    # --- what happens to it from outside -----------------------------------------------------------
+
+    def disarm(self) -> None:
+        """Let the pilot disarm."""
+        self.firmware.arming.disarm()
+
+    def pilot_switches_mode(self, mode: str) -> None:
+        """Let the pilot move the mode switch."""
+        self.firmware.modes.enter(mode)
+
+    def pilot_moves_stick(self, channel: int = 1, pwm: int = 1800, for_s: float = 3.0) -> None:
+        """Let the pilot hold a stick (RC channel) away from its centre for a while."""
+        self.firmware.pilot_moves_stick(channel, pwm, for_s)
+
+    def turn_by_hand(self, moves: Iterable[HandMove]) -> None:
+        """Let a person turn the vehicle, from now on or after the moves already planned."""
+        self.body.hand.add(moves, self.body.time_s)
+
+    def jam(self) -> None:
+        """Block what turns the vehicle: wheels in the mud, a rope in the propeller."""
+        self.body.jammed = True
+
+    def battery_failsafe(self) -> None:
+        """Let the battery run low."""
+        self.firmware.battery_failsafe()
+
+    def cut_sensor(self, instance: int = 1) -> None:
+        """Unplug a compass: its last value keeps streaming, its health falls."""
+        self.firmware.compasses.lose(instance, healthy=False, value=None)
+
+    def zero_compass(self, instance: int = 1) -> None:
+        """Let a compass deliver zeros: what is left are its offsets."""
+        self.firmware.compasses.lose(instance, healthy=True, value=(0.0, 0.0, 0.0))
 
     # --- the works ---------------------------------------------------------------------------------
 

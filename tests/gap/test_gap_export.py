@@ -16,7 +16,7 @@ from mavcompass.gap.export import TARGETS, Found, found_in, known_to
 from mavcompass.gap.result import Belief, Cause, Cured
 from mavcompass.simulation import effects
 from mavcompass.simulation.effects import catalogue
-from mavcompass.simulation.effects.effect import Chain, Setting, Signals
+from mavcompass.simulation.effects.effect import Distortion, Setting, Signals
 from mavcompass.simulation.physics.signals import Reading, Stimulus
 
 AFFINE = {"hard_iron", "soft_iron", "axis_scale"}
@@ -171,7 +171,7 @@ def test_the_script_makes_the_field_that_our_own_effect_makes(effect_id: str, ti
         12.0 * two, 0.5 * two, 31.5 * two, motors,
     )  # fmt: skip
     before = Signals(stimulus, Reading(field @ rotation, zero, zero))
-    truth = Chain(settings).run(before, None).reading.mag_mgauss[1]
+    truth = Distortion(settings).run(before, None).reading.mag_mgauss[1]
     script = TARGETS["ardupilot-lua"](Found(settings)).text
     firmware = Firmware(script, time_s, position[1], rotation)
     np.testing.assert_allclose(firmware.raw(field[1]), truth, atol=0.02)

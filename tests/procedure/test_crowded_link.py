@@ -14,7 +14,7 @@ from mavcompass.cli.calibration.vehicle import calibrate_all
 from mavcompass.cli.options import Output
 from mavcompass.messages import Message
 from mavcompass.procedure.settings import CalibrateSettings
-from mavcompass.simulation.autopilot import Outgoing
+from mavcompass.simulation.autopilot.board import Outgoing
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.compasses import draw_compasses
 from mavcompass.simulation.vehicle import SimulatedAutopilot

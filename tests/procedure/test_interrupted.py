@@ -12,7 +12,7 @@ from bent_vehicles import calibrated
 from mavcompass.enums import MavCmd
 from mavcompass.errors import Refused, WriteFailed
 from mavcompass.messages import CommandLong, Message
-from mavcompass.simulation.autopilot import Outgoing
+from mavcompass.simulation.autopilot.board import Outgoing
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.stopping import StopRequest
 

@@ -9,7 +9,7 @@ from typing import TypeVar
 import pytest
 
 from mavcompass import messages as m
-from mavcompass.simulation.autopilot import Outgoing
+from mavcompass.simulation.autopilot.board import Outgoing
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 
 M = TypeVar("M", bound=m.Message)

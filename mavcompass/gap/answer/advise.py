@@ -14,7 +14,7 @@ from mavcompass.gap.fit.hypothesis import Fit, Term, make_term
 from mavcompass.gap.replay.noise import Noise
 from mavcompass.gap.result import Flight
 from mavcompass.simulation.effects import Setting
-from mavcompass.simulation.effects.effect import Chain, Signals
+from mavcompass.simulation.effects.effect import Distortion, Signals
 from mavcompass.simulation.physics.signals import Stimulus, ideal
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
@@ -56,7 +56,7 @@ def next_flights(
         signals = _signals(protocol, field_ned_mgauss)
         first = rivals[0][1]
         made = _settings(first)
-        truth = Chain(made).run(signals, None).reading.mag_mgauss
+        truth = Distortion(made).run(signals, None).reading.mag_mgauss
         distances = [_distance(signals, truth, fit, noise) for _, fit in rivals[1:4]]
         least = min(distances)
         if math.isfinite(least) and least > 0.5:
@@ -75,7 +75,7 @@ def _distance(signals: Signals, truth: FloatArray, rival: Fit, noise: Noise) -> 
     rate = float(np.sqrt((1.0 - min(float(noise["mag"].coefficients.sum(axis=0).mean()), 0.95)) * 0.5 + 0.5))
     settings = _settings(rival)
     terms: list[Term] = [make_term(t.effect, signals) for t in rival.terms]
-    base = Chain(settings).run(signals, None).reading.mag_mgauss
+    base = Distortion(settings).run(signals, None).reading.mag_mgauss
     columns = []
     for i, (term, setting) in enumerate(zip(terms, settings, strict=True)):
         for j in np.flatnonzero(term.free):
@@ -83,7 +83,7 @@ def _distance(signals: Signals, truth: FloatArray, rival: Fit, noise: Noise) -> 
             theta = setting.theta.copy()
             theta[j] += step
             moved = [*settings[:i], replace(setting, theta=theta), *settings[i + 1 :]]
-            made = Chain(moved).run(signals, None).reading.mag_mgauss
+            made = Distortion(moved).run(signals, None).reading.mag_mgauss
             columns.append(((made - base) / step / sigma).ravel())
     difference = ((truth - base) / sigma).ravel()
     if columns:

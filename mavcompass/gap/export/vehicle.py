@@ -13,7 +13,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.replay.nuisance import calibration_in_force, known_iron
 from mavcompass.gap.result import FIELD, MOTOR, Belief, Cause, Diagnosis
 from mavcompass.simulation.effects import Setting, get
-from mavcompass.simulation.effects.effect import Chain, Signals
+from mavcompass.simulation.effects.effect import Distortion, Signals
 from mavcompass.simulation.physics.signals import Reading, Stimulus
 from mavcompass.track import Track
 
@@ -136,7 +136,7 @@ def affine_map(settings: Sequence[Setting]) -> tuple[FloatArray, FloatArray]:
         np.arange(n, dtype=np.float64), rotation, field, zero, zero, zero, zero, none, none, none,
         np.zeros((n, 0)),
     )  # fmt: skip
-    out = Chain(list(settings)).run(Signals(stimulus, Reading(field, zero, zero)), None)
+    out = Distortion(list(settings)).run(Signals(stimulus, Reading(field, zero, zero)), None)
     raw = out.reading.mag_mgauss
     return (raw[1:] - raw[0]).T / 100.0, raw[0]
 

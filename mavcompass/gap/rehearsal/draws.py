@@ -15,7 +15,7 @@ from mavcompass.gap.export.vehicle import affine_map
 from mavcompass.gap.rehearsal.kind import Kind
 from mavcompass.gap.result import MATRIX, MOTOR, OFFSET, Belief, Diagnosis
 from mavcompass.simulation.effects import Setting, get
-from mavcompass.simulation.effects.effect import Chain, Effect, Memory, Rng, Signals, Stage
+from mavcompass.simulation.effects.effect import Distortion, Effect, Memory, Rng, Signals, Stage
 
 IRON_NAMES = (
     *(f"offset_{axis}" for axis in "xyz"),
@@ -143,14 +143,14 @@ class Individual:
     gyro_bias: float
     leaning: FloatArray
 
-    def chain(self, without: Collection[str], load: FloatArray) -> Chain:
+    def chain(self, without: Collection[str], load: FloatArray) -> Distortion:
         """Return what its sensors make of the field: iron, motors and effects but those named.
 
         `load` (N,) is what the motors' field goes with.
         """
         acting = [s for s in self.settings if s.effect.id not in without]
         motor = self.known_motor_mgauss if MOTORS in without else self.motor_mgauss
-        return Chain([*iron_settings(self.matrix, self.offset_mgauss, motor, load), *acting])
+        return Distortion([*iron_settings(self.matrix, self.offset_mgauss, motor, load), *acting])
 
 
 class Draws:

@@ -11,7 +11,9 @@ from mavcompass.enums import MavSeverity
 from mavcompass.simulation.ardupilot.compasses import INSTANCES, CompassBank
 from mavcompass.simulation.ardupilot.magnetometer_calibration import MagnetometerCalibration
 from mavcompass.simulation.ardupilot.modes import ModeRules
-from mavcompass.simulation.autopilot import Board, HoverGuidance, ParameterStore, Status
+from mavcompass.simulation.autopilot.board import Board, Status
+from mavcompass.simulation.autopilot.guidance import HoverGuidance
+from mavcompass.simulation.autopilot.parameters import ParameterStore
 from mavcompass.simulation.physics.motion import rotation_matrix
 
 _CHECK_ALL, _CHECK_COMPASS, _CHECK_INS = 1, 4, 16

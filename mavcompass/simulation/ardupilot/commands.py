@@ -15,7 +15,10 @@ from mavcompass.simulation.ardupilot.compasses import INSTANCES, CompassBank
 from mavcompass.simulation.ardupilot.magnetometer_calibration import MagnetometerCalibration
 from mavcompass.simulation.ardupilot.modes import Modes
 from mavcompass.simulation.ardupilot.sources import Sources
-from mavcompass.simulation.autopilot import FORCE, Board, HoverGuidance, ParameterServer, Status, Telemetry
+from mavcompass.simulation.autopilot.board import Board, Status
+from mavcompass.simulation.autopilot.guidance import HoverGuidance
+from mavcompass.simulation.autopilot.parameters import ParameterServer
+from mavcompass.simulation.autopilot.telemetry import FORCE, Telemetry
 
 _FORCE_SAVE_CALIBRATION = 76.0
 _SENSOR_OF_COMPASS = {2: 1, 5: 2, 6: 3}

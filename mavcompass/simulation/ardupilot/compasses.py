@@ -12,7 +12,9 @@ from mavcompass.compass_parameters import (
     ardupilot_sensor_to_body,
 )
 from mavcompass.correction import FieldCorrection, Vector
-from mavcompass.simulation.autopilot import Board, Compasses, ParameterStore
+from mavcompass.simulation.autopilot.board import Board
+from mavcompass.simulation.autopilot.compasses import Compasses
+from mavcompass.simulation.autopilot.parameters import ParameterStore
 
 INSTANCES = (1, 2, 3)
 _FREE_ANGLES = tuple(f"CUST_ROT{n}_{angle}" for n in (1, 2) for angle in ("ROLL", "PITCH", "YAW"))

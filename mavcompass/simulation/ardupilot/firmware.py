@@ -13,24 +13,18 @@ from mavcompass.simulation.ardupilot.compasses import INSTANCES, CompassBank
 from mavcompass.simulation.ardupilot.magnetometer_calibration import MagnetometerCalibration
 from mavcompass.simulation.ardupilot.modes import Modes, mode_rules
 from mavcompass.simulation.ardupilot.reports import ArduPilotReports
-from mavcompass.simulation.ardupilot.routine import Routine
 from mavcompass.simulation.ardupilot.sources import Sources
 from mavcompass.simulation.ardupilot.steering import Steering
-from mavcompass.simulation.ardupilot.targets import attitude_target, position_target
-from mavcompass.simulation.autopilot import (
+from mavcompass.simulation.autopilot.board import Board, Status
+from mavcompass.simulation.autopilot.firmware import Firmware, Sender
+from mavcompass.simulation.autopilot.guidance import GroundGuidance, HoverGuidance, Radio
+from mavcompass.simulation.autopilot.parameters import (
     ARDUPILOT_MANNERS,
-    Board,
-    Firmware,
-    GroundGuidance,
-    HoverGuidance,
     ParameterServer,
     ParameterStore,
-    Radio,
-    Sender,
-    Status,
-    Telemetry,
     parameter_table,
 )
+from mavcompass.simulation.autopilot.telemetry import Telemetry
 
 _PARAMETER_FILES = {
     "skid": ("ardupilot.param", "rover.param"),
@@ -41,11 +35,15 @@ _PARAMETER_FILES = {
 }
 _BATTERY_FAILSAFE_MODES = {"rover": "HOLD", "copter": "LAND", "sub": "SURFACE"}
 _SET_MODE_ID = 11
+# Why it will not arm, and how long it has run.
+_TOLD_EVERY_S = 30.0
+_IN_FLIGHT_ALIGNMENT_M = 2.5
 
 
 class ArduPilot(Firmware):
     """Be the software of one simulated ArduPilot vehicle."""
 
+    arming: Arming
     modes: Modes
     steering: Steering
     compasses: CompassBank
@@ -69,7 +67,6 @@ class ArduPilot(Firmware):
         self.reports = reports = ArduPilotReports(board, status, compasses, radio, rules, arming, store)
         self.telemetry = telemetry = Telemetry(board, reports)
         self.steering = Steering(board, status, store, rules, radio, ground, hover, arming)
-        self.routine = Routine(board, status, served, compasses, calibration, ground, hover, arming)
         self.commands = Commands(
             board, status, modes, arming, hover, compasses, calibration, sources, served, telemetry
         )
@@ -91,7 +88,16 @@ class ArduPilot(Firmware):
         self.status.mode = self.modes.rules.name(number) or self.status.mode
         if armed:
             self.hover.hold_here()
-        self.routine.boot(in_the_middle=armed)
+        now = self.board.boot_time_s
+        self._next_prearm_s = self._next_statistics_s = now + _TOLD_EVERY_S
+        self._next_second_s = now + 1.0
+        # In the middle of a mission everything has been said and aligned.
+        self._told_ready = self._aligned_in_flight = armed
+        if not armed:
+            self.board.say("ArduPilot Ready")
+            steering = self.compasses.steering
+            if steering is not None:
+                self.board.say(f"EKF3 IMU0 MAG{steering - 1} initial yaw alignment complete")
 
     def hear(self, message: m.Message, sender: Sender) -> None:
         """Act on a message that only this firmware knows what to do with."""
@@ -103,18 +109,55 @@ class ArduPilot(Firmware):
             case m.RequestDataStream():
                 self.telemetry.set_group(message, sender.port)
             case m.SetPositionTargetLocalNed() if guided:
-                self.steering.take_position_target(position_target(self.board, message), message.type_mask)
-            case m.SetAttitudeTarget() if guided and not self.board.profile.hovers:
-                if target := attitude_target(self.board, message):
-                    self.ground.set_target(target)
+                self.steering.take_position_target(message)
+            case m.SetAttitudeTarget() if guided:
+                self.steering.take_attitude_target(message)
             case m.RcChannelsOverride() | m.ManualControl():
                 if sender.system == int(self.store["SYSID_MYGCS"]):
                     self.radio.override(message, self.board.boot_time_s)
 
     def attend(self) -> None:
-        """Do what is due: time-outs, lists, texts."""
-        self.routine.attend()
+        """Do what is due: time-outs, lists, texts, parameters that nobody asked for, yaw alignment."""
+        now = self.board.boot_time_s
+        if self.ground.expire():
+            self.board.say("target not received last 3secs, stopping", MavSeverity.WARNING)
+        if not self._told_ready and self.board.ready:
+            self._told_ready = True
+            self.board.say("EKF3 IMU0 is using GPS")
+            self.board.say("AHRS: EKF3 active")
+        if now >= self._next_second_s:
+            self._next_second_s += 1.0
+            for progress in self.calibration.reports():
+                self.board.send(progress)
+        if now >= self._next_statistics_s:
+            self._next_statistics_s += _TOLD_EVERY_S
+            self.store.set("STAT_RUNTIME", self.store["STAT_RUNTIME"] + _TOLD_EVERY_S, keep=False)
+            # Nobody asked for these; a client that takes any PARAM_VALUE for its answer errs.
+            self.parameters.announce("STAT_RUNTIME")
+            if not self.status.armed:
+                self.parameters.announce("BARO1_GND_PRESS")
+        if not self.status.armed:
+            self._on_the_ground(now)
+        elif not self._aligned_in_flight and self.board.body.height_m > _IN_FLIGHT_ALIGNMENT_M:
+            self._align_in_flight()
         self.parameters.attend()
+
+    def _on_the_ground(self, now: float) -> None:
+        if now >= self._next_prearm_s:
+            self._next_prearm_s = now + _TOLD_EVERY_S
+            self.arming.tell_refusals("PreArm")
+        if self.board.body.landed:
+            self._aligned_in_flight = False
+
+    def _align_in_flight(self) -> None:
+        """Take the compass's yaw over at once, clear of the ground and of what iron lies in it."""
+        body = self.board.body
+        self._aligned_in_flight = True
+        yaw = self.compasses.yaw()
+        if yaw is not None and self.compasses.steering is not None:
+            self.board.filter.align(body.roll_rad, body.pitch_rad, yaw)
+            self.hover.hold()
+            self.board.say(f"EKF3 IMU0 MAG{self.compasses.steering - 1} in-flight yaw alignment complete")
 
     def use_compasses(self, dt_s: float) -> None:
         """Correct the new readings for the filter, where its sources name it; its calibration listens."""

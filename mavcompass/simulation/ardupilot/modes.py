@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mavcompass.enums import CopterMode, MavModeFlag, MavSeverity, RoverMode, SubMode
-from mavcompass.simulation.autopilot import Board, GroundGuidance, HoverGuidance, Status
+from mavcompass.simulation.autopilot.board import Board, Status
+from mavcompass.simulation.autopilot.guidance import GroundGuidance, HoverGuidance
 from mavcompass.simulation.physics.profiles import VehicleProfile
 
 _NAMES: dict[str, dict[str, int]] = {

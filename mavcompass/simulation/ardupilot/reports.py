@@ -10,16 +10,11 @@ from mavcompass.enums import EkfFlag, MavAutopilot, MavModeFlag
 from mavcompass.simulation.ardupilot.arming import Arming
 from mavcompass.simulation.ardupilot.compasses import CompassBank
 from mavcompass.simulation.ardupilot.modes import ModeRules
-from mavcompass.simulation.autopilot import (
-    MESSAGES,
-    Battery,
-    Board,
-    ParameterStore,
-    Radio,
-    Reports,
-    Status,
-    int16,
-)
+from mavcompass.simulation.autopilot.board import Board, Status
+from mavcompass.simulation.autopilot.guidance import Radio
+from mavcompass.simulation.autopilot.parameters import ParameterStore
+from mavcompass.simulation.autopilot.reports import Battery, Reports, int16
+from mavcompass.simulation.autopilot.telemetry import MESSAGES
 from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
 
 _SENSOR_BITS = 322034735

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from mavcompass.simulation.autopilot import Board, ParameterStore
+from mavcompass.simulation.autopilot.board import Board
+from mavcompass.simulation.autopilot.parameters import ParameterStore
 
 _SETS = (1, 2, 3)
 _COMPASS, _COMPASS_AS_FALLBACK = 1.0, 3.0

@@ -1,23 +1,27 @@
-"""Who steers an ArduPilot vehicle in which mode."""
+"""Who steers an ArduPilot vehicle in which mode, and what it makes of targets in GUIDED."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from enum import IntFlag
 
+from mavcompass.enums import MavFrame
+from mavcompass.messages import SetAttitudeTarget, SetPositionTargetLocalNed
 from mavcompass.simulation.ardupilot.arming import Arming
 from mavcompass.simulation.ardupilot.modes import ModeRules
-from mavcompass.simulation.autopilot import (
-    Board,
+from mavcompass.simulation.autopilot.attitude_filter import wrap_angle
+from mavcompass.simulation.autopilot.board import Board, Status
+from mavcompass.simulation.autopilot.guidance import (
     GroundGuidance,
     HoverGuidance,
     Ignore,
-    ParameterStore,
     Radio,
-    Status,
     Target,
     stick,
 )
+from mavcompass.simulation.autopilot.parameters import ParameterStore
 from mavcompass.simulation.physics.motion import Drive
 
 _CLIMB_MPS, _DESCEND_MPS, _LAND_MPS, _FALL_MPS = 2.5, 1.5, 0.5, 4.0
@@ -25,6 +29,15 @@ _LAND_SLOWLY_BELOW_M = 5.0
 _RETURN_HEIGHT_M = 15.0
 _PILOT_YAW_RADPS = math.radians(100.0)
 _LOW_STICK = 1100
+_BODY_FRAMES = (MavFrame.BODY_NED, MavFrame.BODY_OFFSET_NED)
+
+
+class IgnoreAttitude(IntFlag):
+    """Name the bits of SET_ATTITUDE_TARGET's type_mask."""
+
+    YAW_RATE = 4
+    THROTTLE = 64
+    ATTITUDE = 128
 
 
 @dataclass(slots=True, eq=False)
@@ -41,14 +54,20 @@ class Steering:
     arming: Arming
     _returning_home: bool = field(default=False, init=False)
 
-    def take_position_target(self, target: Target | None, mask: int) -> None:
+    def take_position_target(self, message: SetPositionTargetLocalNed) -> None:
         """Take a GUIDED target; what hovers ignores those that have no velocity."""
+        target = position_target(self.board, message)
         if target is None:
             return
         if not self.board.profile.hovers:
             self.ground.set_target(target)
-        elif mask & Ignore.VELOCITY != Ignore.VELOCITY and self.status.armed and not self.board.body.landed:
+        elif _with_velocity(message) and self.status.armed and not self.board.body.landed:
             self.hover.set_target(target, math.radians(self.store.get("ATC_SLEW_YAW", 6000.0) / 100.0))
+
+    def take_attitude_target(self, message: SetAttitudeTarget) -> None:
+        """Take a GUIDED attitude, as rovers do."""
+        if not self.board.profile.hovers and (target := attitude_target(self.board, message)):
+            self.ground.set_target(target)
 
     def control(self, dt_s: float) -> Drive:
         """Say what the chassis shall do until the next tick."""
@@ -124,3 +143,54 @@ class Steering:
         if self.status.mode == "MANUAL":
             return Drive(by_hand or None, 0.0, climb, motors_on=bool(by_hand or climb))
         return Drive(self.hover.yaw_rate(dt_s, by_hand), 0.0, climb, motors_on=True)
+
+
+def _with_velocity(message: SetPositionTargetLocalNed) -> bool:
+    return message.type_mask & Ignore.VELOCITY != Ignore.VELOCITY
+
+
+def yaw_of(q: Sequence[float]) -> float:
+    """Return the yaw of a quaternion (w, x, y, z)."""
+    w, x, y, z = q
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def position_target(board: Board, message: SetPositionTargetLocalNed) -> Target | None:
+    """Read a target off SET_POSITION_TARGET_LOCAL_NED; None where it asks for no turn or speed."""
+    mask = message.type_mask
+    body = message.coordinate_frame in _BODY_FRAMES
+    yaw_wanted, rate_wanted = not mask & Ignore.YAW, not mask & Ignore.YAW_RATE
+    with_velocity = _with_velocity(message)
+    vx, vy = (message.vx, message.vy) if with_velocity else (0.0, 0.0)
+    numbers = (vx, vy, *([message.yaw] * yaw_wanted), *([message.yaw_rate] * rate_wanted))
+    if not all(math.isfinite(v) for v in numbers):
+        return None
+    now, yaw = board.boot_time_s, board.filter.yaw_rad
+    speed = math.hypot(vx, vy)
+    if body and vx < 0.0:
+        speed = -speed
+    if yaw_wanted:
+        heading = yaw + message.yaw if body else message.yaw
+        return Target(now, heading_rad=wrap_angle(heading), speed_mps=speed)
+    if rate_wanted:
+        return Target(now, rate_radps=message.yaw_rate, speed_mps=speed)
+    if not with_velocity:
+        return None
+    course = math.atan2(vy, vx) + (yaw if body else 0.0) if speed else yaw
+    return Target(now, heading_rad=wrap_angle(course), speed_mps=abs(speed))
+
+
+def attitude_target(board: Board, message: SetAttitudeTarget) -> Target | None:
+    """Read a target off SET_ATTITUDE_TARGET, as rovers do; it must not ignore the thrust."""
+    mask = message.type_mask
+    if mask & IgnoreAttitude.THROTTLE or not math.isfinite(message.thrust):
+        return None
+    now = board.boot_time_s
+    speed = message.thrust * board.profile.speed_max_mps
+    if not mask & IgnoreAttitude.YAW_RATE:
+        rate = message.body_yaw_rate
+        return Target(now, rate_radps=rate, speed_mps=speed) if math.isfinite(rate) else None
+    if not mask & IgnoreAttitude.ATTITUDE:
+        if all(math.isfinite(v) for v in message.q):
+            return Target(now, heading_rad=yaw_of(message.q), speed_mps=speed)
+    return None

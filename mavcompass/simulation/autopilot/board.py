@@ -1,4 +1,4 @@
-"""The flight controller's hardware: its clock, its body and sensors, its ports. It knows no firmware."""
+"""The flight controller's hardware (clock, body, sensors, ports), and what its firmware remembers."""
 
 from __future__ import annotations
 
@@ -31,6 +31,21 @@ class Outgoing:
     component: int
     message: Message
     port: int | None = None
+
+
+@dataclass(slots=True)
+class Status:
+    """Hold the vehicle's state as its firmware sees it.
+
+    Attributes:
+        failsafe: the heartbeat says CRITICAL. reboot_wanted: reboot once the command is acknowledged.
+    """
+
+    mode: str
+    armed: bool = False
+    battery_low: bool = False
+    failsafe: bool = False
+    reboot_wanted: bool = False
 
 
 class Board:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Protocol
 
 from mavcompass import messages as m
 from mavcompass.enums import MavResult
-from mavcompass.simulation.autopilot.board import Board
-from mavcompass.simulation.autopilot.commands import as_long
+from mavcompass.simulation.autopilot.board import Board, Status
 from mavcompass.simulation.autopilot.compasses import Compasses
+from mavcompass.simulation.autopilot.guidance import Radio
 from mavcompass.simulation.autopilot.parameters import ParameterServer
-from mavcompass.simulation.autopilot.radio import Radio
 from mavcompass.simulation.autopilot.reports import Reports
-from mavcompass.simulation.autopilot.status import Status
 from mavcompass.simulation.autopilot.telemetry import Telemetry
 from mavcompass.simulation.physics.motion import Drive
 
@@ -104,7 +103,7 @@ class Firmware(ABC):
             case m.CommandLong():
                 self.acknowledge(message.command, self.commands.answer(message, sender.port), sender)
             case m.CommandInt():
-                result = self.commands.answer(as_long(message), sender.port)
+                result = self.commands.answer(_as_long(message), sender.port)
                 self.acknowledge(message.command, result, sender)
             case _:
                 self.hear(message, sender)
@@ -132,3 +131,20 @@ class Firmware(ABC):
     def pilot_moves_stick(self, channel: int, pwm: int, for_s: float) -> None:
         """Hold a stick."""
         self.radio.hold(channel, pwm, self.board.boot_time_s + for_s)
+
+
+def _as_long(command: m.CommandInt) -> m.CommandLong:
+    """Read a COMMAND_INT as the COMMAND_LONG of the same meaning (places in degrees)."""
+    return m.CommandLong(
+        command.target_system,
+        command.target_component,
+        command.command,
+        0,
+        command.param1,
+        command.param2,
+        command.param3,
+        command.param4,
+        command.x * 1e-7,
+        command.y * 1e-7,
+        command.z if math.isfinite(command.z) else 0.0,
+    )

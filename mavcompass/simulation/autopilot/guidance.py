@@ -1,4 +1,4 @@
-"""How a flight controller turns a vehicle: heading and rate targets on the ground, auto-yaw in air and water.
+"""How a flight controller turns a vehicle: sticks, targets on the ground, auto-yaw in air and water.
 
 Everything is closed on the filter's yaw, the only one a flight controller has.
 """
@@ -9,12 +9,17 @@ import math
 from dataclasses import dataclass
 from enum import IntFlag
 
+from mavcompass.messages import ManualControl, RcChannelsOverride
 from mavcompass.simulation.autopilot.attitude_filter import wrap_angle
 from mavcompass.simulation.autopilot.board import Board
 from mavcompass.simulation.physics.motion import Drive
 
-TARGET_TIMEOUT_S = 3.0
+# A target, and what stands in for the pilot's sticks, is forgotten after so long.
+TARGET_TIMEOUT_S = OVERRIDE_TIMEOUT_S = 3.0
 _STICK_CENTRE, _STICK_SPAN, _STICK_DEADZONE = 1500, 500, 30
+_STICK_LOW, _SWITCH_HIGH = 1000, 1800
+_IGNORE, _RELEASE = 65535, 0
+_UNUSED_AXIS, _FULL_AXIS = 32767, 1000
 _TWO_PI = 2.0 * math.pi
 _LANDED_AND_IDLE_S = 2.0
 
@@ -45,6 +50,52 @@ def stick(pwm: int) -> float:
     if abs(offset) <= _STICK_DEADZONE:
         return 0.0
     return max(-1.0, min(1.0, offset / _STICK_SPAN))
+
+
+class Radio:
+    """Hold the pulse widths of eight channels: roll or steering, pitch, throttle, yaw, switches."""
+
+    def __init__(self, throttle_low: bool) -> None:
+        low, middle, high = _STICK_LOW, _STICK_CENTRE, _SWITCH_HIGH
+        throttle = low if throttle_low else middle
+        self._rest = (middle, middle, throttle, middle, high, low, low, high)
+        self._held: dict[int, tuple[int, float]] = {}
+        self._overrides: dict[int, tuple[int, float]] = {}
+
+    def channel(self, number: int, now_s: float) -> int:
+        """Return a channel's pulse width: the pilot's hand, then an override, then the rest position."""
+        for source in (self._held, self._overrides):
+            if number in source:
+                pwm, until_s = source[number]
+                if now_s <= until_s:
+                    return pwm
+                del source[number]
+        return self._rest[number - 1]
+
+    def channels(self, now_s: float) -> tuple[int, ...]:
+        """Return all channels."""
+        return tuple(self.channel(n, now_s) for n in range(1, len(self._rest) + 1))
+
+    def hold(self, channel: int, pwm: int, until_s: float) -> None:
+        """Let the pilot hold a channel."""
+        self._held[channel] = (pwm, until_s)
+
+    def override(self, message: RcChannelsOverride | ManualControl, now_s: float) -> None:
+        """Take a ground station's values; they are forgotten after three seconds."""
+        until_s = now_s + OVERRIDE_TIMEOUT_S
+        if isinstance(message, ManualControl):
+            axes = {1: message.y, 2: -message.x, 3: message.z, 4: message.r}
+            for number, value in axes.items():
+                if abs(value) < _UNUSED_AXIS:
+                    deflection = max(-_FULL_AXIS, min(value, _FULL_AXIS))
+                    self._overrides[number] = (_STICK_CENTRE + deflection // 2, until_s)
+            return
+        for number in range(1, 9):
+            pwm = getattr(message, f"chan{number}_raw")
+            if pwm == _RELEASE:
+                self._overrides.pop(number, None)
+            elif pwm != _IGNORE:
+                self._overrides[number] = (pwm, until_s)
 
 
 class GroundGuidance:

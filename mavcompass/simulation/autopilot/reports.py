@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from mavcompass import messages as m
 from mavcompass.correction import Vector
 from mavcompass.enums import MavAutopilot, MavModeFlag, MavState
-from mavcompass.simulation.autopilot.board import Board
+from mavcompass.simulation.autopilot.board import Board, Status
 from mavcompass.simulation.autopilot.compasses import Compasses
-from mavcompass.simulation.autopilot.radio import Radio
-from mavcompass.simulation.autopilot.status import Status
+from mavcompass.simulation.autopilot.guidance import Radio
 from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
 
 _LANDED_ON_GROUND, _LANDED_IN_AIR = 1, 2

@@ -10,6 +10,7 @@ Adding an effect is adding one file to `causes/`.
 """
 
 from mavcompass.simulation.effects.effect import (
+    Distortion,
     Effect,
     Memory,
     Misfit,
@@ -18,7 +19,6 @@ from mavcompass.simulation.effects.effect import (
     Signals,
     Stage,
 )
-from mavcompass.simulation.effects.live import Distortion
 from mavcompass.simulation.effects.registry import (
     catalogue,
     default,

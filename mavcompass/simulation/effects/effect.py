@@ -8,7 +8,7 @@ it; effects of the sensor change what it says. They are composed in the order of
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from types import MappingProxyType
 from typing import Any, Literal
@@ -328,22 +328,31 @@ def _value(parameter: Parameter, values: Mapping[str, float]) -> float:
     return 0.0 if values and amplitude else parameter.default
 
 
-@dataclass(slots=True)
-class Chain:
-    """Be several settings, composed in the order of their stages."""
+class Distortion:
+    """Be several settings, composed in the order of their stages.
 
-    settings: Sequence[Setting]
-    _memories: list[Memory] = field(init=False)
+    Blocks follow each other in time and have one sample or more; what an effect must remember (a delay's
+    buffer, a drift's value) is carried from block to block, so the split into blocks does not matter.
+    """
 
-    def __post_init__(self) -> None:
-        self.settings = sorted(self.settings, key=lambda s: s.effect.stage_at(s.theta))
-        self._memories = [{} for _ in self.settings]
+    def __init__(self, settings: Sequence[Setting]) -> None:
+        self.settings = tuple(sorted(settings, key=lambda s: s.effect.stage_at(s.theta)))
+        self._memories: list[Memory] = [{} for _ in self.settings]
+
+    @property
+    def groups(self) -> frozenset[Group]:
+        """Return the sensors that the effects change."""
+        return frozenset(group for setting in self.settings for group in setting.effect.groups)
 
     def run(self, signals: Signals, rng: Rng) -> Signals:
-        """Pass a block of samples through all effects, remembering what the next block needs."""
+        """Pass a block of samples through all effects; without `rng` as the mean of what is random."""
         for setting, memory in zip(self.settings, self._memories, strict=True):
             signals = setting.effect.forward(signals, setting.theta, memory, rng)
         return signals
+
+    def apply(self, stimulus: Stimulus, reading: Reading, rng: np.random.Generator) -> Reading:
+        """Return the reading of a live vehicle's sensors as the effects change it."""
+        return self.run(Signals(stimulus, reading), rng).reading
 
 
 def on_iron(usually: bool) -> Parameter:

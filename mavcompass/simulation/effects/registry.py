@@ -11,8 +11,7 @@ from mavcompass.errors import UsageError
 from mavcompass.files import read_text
 from mavcompass.installation.additions import modules_in
 from mavcompass.simulation.effects import causes
-from mavcompass.simulation.effects.effect import Detector, Effect, Setting
-from mavcompass.simulation.effects.live import Distortion
+from mavcompass.simulation.effects.effect import Detector, Distortion, Effect, Setting
 
 PRESET_SCHEMA = "mavcompass.simulation-preset/1"
 

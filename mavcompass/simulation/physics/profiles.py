@@ -8,12 +8,21 @@ from typing import Literal
 
 from mavcompass.enums import CopterMode, MavType, RoverMode, SubMode
 from mavcompass.errors import UsageError
-from mavcompass.simulation.physics.world import Place
 
 Chassis = Literal["skid", "ackermann", "boat", "copter", "sub"]
 Firmware = Literal["rover", "copter", "sub", "px4"]
 
 _DEG = math.pi / 180.0
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Name a point on Earth."""
+
+    lat_deg: float
+    lon_deg: float
+    alt_m: float
+
 
 # Where ArduPilot's and PX4's own simulators start.
 CANBERRA = Place(-35.363262, 149.165237, 584.0)

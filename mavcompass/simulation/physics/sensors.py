@@ -18,6 +18,7 @@ from typing import Protocol
 import numpy as np
 
 from mavcompass.correction import IDENTITY, FieldCorrection, Vector
+from mavcompass.frames import FloatArray
 from mavcompass.simulation.physics.motion import Body
 from mavcompass.simulation.physics.noise import NoiseTape, generator
 from mavcompass.simulation.physics.signals import Reading, Stimulus
@@ -152,7 +153,7 @@ class SensorSuite:
         self._field_sum = [0.0, 0.0, 0.0]
         self._distorted_sum = [0.0, 0.0, 0.0]
         self._count = 0
-        self._waiting: list[Moment] = []
+        self._waiting: list[tuple[tuple[object, ...], Vector, ImuSample]] = []
 
     def tick(self, body: Body, surroundings: Callable[[], Surroundings]) -> None:
         """Take one sample of everything at the body's present state."""
@@ -166,7 +167,7 @@ class SensorSuite:
         if self.distortions:
             compass = self.compasses[0]
             raw = compass.add_noise(compass.sense(field), self._tick_s)
-            self._waiting.append(moment_of(body, surroundings(), raw, self.samples[0]))
+            self._waiting.append((moment_of(body, surroundings()), raw, self.samples[0]))
             if self._at_once:
                 self._distort()
 
@@ -190,8 +191,12 @@ class SensorSuite:
 
     def _distort(self) -> None:
         """Pass the waiting moments through the effects."""
-        stimulus, reading = signals_of(self._waiting)
+        moments, raw, imu = zip(*self._waiting, strict=True)
         self._waiting.clear()
+        time_s, rotation, *others = (np.array(column) for column in zip(*moments, strict=True))
+        stimulus = Stimulus(time_s, rotation.reshape(-1, 3, 3), *others)
+        acc, gyro = np.array([i.acc_mps2 for i in imu]), np.array([i.gyro_radps for i in imu])
+        reading = Reading(np.array(raw), acc, gyro)
         for distortion in self.distortions:
             reading = distortion.apply(stimulus, reading, self._rng)
         for i, value in enumerate(reading.mag_mgauss.sum(axis=0).tolist()):
@@ -211,56 +216,59 @@ def field_in_body(body: Body) -> Vector:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Moment:
-    """Hold the truth and the undistorted readings of one moment, as plain numbers."""
-
-    time_s: float
-    field_ned_mgauss: Vector
-    rotation: tuple[float, ...]
-    rate_radps: Vector
-    specific_force_mps2: Vector
-    position_ned_m: Vector
-    velocity_ned_mps: Vector
-    around: Surroundings
-    raw_mgauss: Vector
-    imu: ImuSample
-
-
-def moment_of(body: Body, around: Surroundings, raw_mgauss: Vector, imu: ImuSample) -> Moment:
-    """Note down a body's present state and what its sensors say of it."""
-    return Moment(
+def moment_of(body: Body, around: Surroundings) -> tuple[object, ...]:
+    """Note down a body's present state and surroundings as plain numbers, in the order of `Stimulus`."""
+    return (
         body.time_s,
-        body.world.field_ned_mgauss,
         body.rotation,
+        body.world.field_ned_mgauss,
         body.rate_radps,
         body.specific_force_mps2,
         (body.north_m, body.east_m, -body.height_m),
         body.velocity_ned_mps,
-        around,
-        raw_mgauss,
-        imu,
+        around.current_a,
+        around.throttle,
+        around.temperature_degc,
+        around.motors,
     )
 
 
-def signals_of(moments: Sequence[Moment]) -> tuple[Stimulus, Reading]:
-    """Turn moments into arrays."""
-    stimulus = Stimulus(
-        time_s=np.array([m.time_s for m in moments]),
-        rotation=np.array([m.rotation for m in moments]).reshape(-1, 3, 3),
-        field_ned_mgauss=np.array([m.field_ned_mgauss for m in moments]),
-        rate_radps=np.array([m.rate_radps for m in moments]),
-        specific_force_mps2=np.array([m.specific_force_mps2 for m in moments]),
-        position_ned_m=np.array([m.position_ned_m for m in moments]),
-        velocity_ned_mps=np.array([m.velocity_ned_mps for m in moments]),
-        current_a=np.array([m.around.current_a for m in moments]),
-        throttle=np.array([m.around.throttle for m in moments]),
-        temperature_degc=np.array([m.around.temperature_degc for m in moments]),
-        motors=np.array([m.around.motors for m in moments]),
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """Hold the true state at one moment.
+
+    Attributes:
+        rotation: body to NED, (3, 3); roll_rad, pitch_rad, yaw_rad: the same as angles.
+        position_ned_m: relative to the start; field_ned_mgauss: the Earth's field there.
+    """
+
+    time_s: float
+    rotation: FloatArray
+    roll_rad: float
+    pitch_rad: float
+    yaw_rad: float
+    yaw_rate_radps: float
+    position_ned_m: Vector
+    velocity_ned_mps: Vector
+    field_ned_mgauss: Vector
+    declination_rad: float
+    current_a: float
+    temperature_degc: float
+
+
+def truth_of(body: Body, around: Surroundings, time_s: float) -> Truth:
+    """Read the true state off a body and its surroundings."""
+    return Truth(
+        time_s=time_s,
+        rotation=np.array(body.rotation).reshape(3, 3),
+        roll_rad=body.roll_rad,
+        pitch_rad=body.pitch_rad,
+        yaw_rad=body.yaw_rad,
+        yaw_rate_radps=body.yaw_rate_radps,
+        position_ned_m=(body.north_m, body.east_m, -body.height_m),
+        velocity_ned_mps=body.velocity_ned_mps,
+        field_ned_mgauss=body.world.field_ned_mgauss,
+        declination_rad=body.world.declination_rad,
+        current_a=around.current_a,
+        temperature_degc=around.temperature_degc,
     )
-    reading = Reading(
-        np.array([m.raw_mgauss for m in moments]),
-        np.array([m.imu.acc_mps2 for m in moments]),
-        np.array([m.imu.gyro_radps for m in moments]),
-    )
-    return stimulus, reading

@@ -7,20 +7,13 @@ from dataclasses import dataclass, field
 
 from mavcompass.correction import Vector
 from mavcompass.earth_field import decimal_year, earth_field
+from mavcompass.simulation.physics.noise import generator
+from mavcompass.simulation.physics.profiles import Place, VehicleProfile
 
 EARTH_RADIUS_M = 6_371_000.0
 
 # 2026-06-01 00:00 UTC: inside the years of the field model, and the same on every run.
 DEFAULT_UTC_S = 1_780_272_000.0
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Name a point on Earth."""
-
-    lat_deg: float
-    lon_deg: float
-    alt_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,3 +98,41 @@ class World:
             + math.degrees(east_m / (EARTH_RADIUS_M * math.cos(math.radians(here.lat_deg)))),
             alt_m=here.alt_m - down_m,
         )
+
+
+def draw_world(
+    kind: VehicleProfile,
+    seed: int,
+    place: tuple[float, float, float] | None,
+    utc_start_s: float,
+    tilt_deg: float | None,
+) -> World:
+    """Draw which way the ground slopes and how the waves run.
+
+    Parameters
+    ----------
+    kind: the vehicle, which brings its usual place and the steepness of ground it drives on.
+    place: latitude deg, longitude deg, altitude m, or None for the usual one.
+    tilt_deg: steepness of the ground, height of the waves as tilt; by seed if None.
+    """
+    rng = generator(seed, "ground")
+    heading, steepness = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(0.4, 1.0)
+    slope_rad, wave_rad = kind.slope_rad * steepness, kind.wave_rad * steepness
+    if tilt_deg is not None:
+        slope_rad = wave_rad = math.radians(tilt_deg)
+    waves: list[tuple[Wave, ...]] = [(), ()]
+    if kind.chassis == "boat":
+        slope_rad = 0.0
+        for axis, share in enumerate((1.0, 0.6)):
+            waves[axis] = tuple(
+                Wave(wave_rad * share * part, 2.0 * math.pi / period, rng.uniform(0.0, 2.0 * math.pi))
+                for part, period in ((0.7, rng.uniform(2.6, 3.4)), (0.3, rng.uniform(1.3, 1.9)))
+            )
+    rise = math.tan(slope_rad)
+    return World(
+        Place(*place) if place else kind.place,
+        utc_start_s,
+        slope=(rise * math.cos(heading), rise * math.sin(heading)),
+        roll_waves=waves[0],
+        pitch_waves=waves[1],
+    )

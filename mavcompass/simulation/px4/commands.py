@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from mavcompass.compass_parameters import px4_name
 from mavcompass.enums import MavCmd, MavResult
 from mavcompass.messages import CommandLong
-from mavcompass.simulation.autopilot import FORCE, Board, ParameterServer, Status, Telemetry, whole
-from mavcompass.simulation.px4.arming import Arming
+from mavcompass.simulation.autopilot.board import Board, Status
+from mavcompass.simulation.autopilot.parameters import ParameterServer
+from mavcompass.simulation.autopilot.telemetry import FORCE, Telemetry, whole
 from mavcompass.simulation.px4.compasses import INSTANCES, Px4Compasses
-from mavcompass.simulation.px4.flight import Flight
+from mavcompass.simulation.px4.flight import Arming, Flight, Modes, mode_of
 from mavcompass.simulation.px4.magnetometer_calibration import MagnetometerCalibration
-from mavcompass.simulation.px4.modes import Modes, mode_of
 from mavcompass.units import MGAUSS_PER_GAUSS
 
 

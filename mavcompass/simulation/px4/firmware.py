@@ -11,28 +11,22 @@ from collections.abc import Mapping, MutableMapping
 from mavcompass import messages as m
 from mavcompass.compass_parameters import px4_name, px4_sensor_to_body, px4_values
 from mavcompass.enums import MavSeverity
-from mavcompass.simulation.autopilot import (
+from mavcompass.simulation.autopilot.board import Board, Status
+from mavcompass.simulation.autopilot.firmware import Firmware, Sender
+from mavcompass.simulation.autopilot.guidance import HoverGuidance, Radio
+from mavcompass.simulation.autopilot.parameters import (
     PX4_MANNERS,
-    Board,
-    Firmware,
-    HoverGuidance,
     ParameterServer,
     ParameterStore,
-    Radio,
-    Sender,
-    Status,
-    Telemetry,
     parameter_table,
 )
+from mavcompass.simulation.autopilot.telemetry import Telemetry
 from mavcompass.simulation.physics.noise import generator
-from mavcompass.simulation.px4.arming import Arming
 from mavcompass.simulation.px4.commands import Commands
 from mavcompass.simulation.px4.compasses import INSTANCES, Px4Compasses
-from mavcompass.simulation.px4.flight import Flight
+from mavcompass.simulation.px4.flight import BY_HAND, Arming, Flight, Modes, Setpoints, mode_of_custom
 from mavcompass.simulation.px4.magnetometer_calibration import MagnetometerCalibration
-from mavcompass.simulation.px4.modes import BY_HAND, Modes, mode_of_custom
 from mavcompass.simulation.px4.reports import Px4Reports
-from mavcompass.simulation.px4.setpoints import Setpoints
 
 # How the first compass is turned in its mast, MAV_SENSOR_ORIENTATION.
 _MOUNTINGS = (0, 2, 4, 6)

@@ -6,19 +6,13 @@ from collections.abc import Mapping
 
 from mavcompass import messages as m
 from mavcompass.enums import EkfFlag, MavAutopilot, MavModeFlag
-from mavcompass.simulation.autopilot import (
-    MESSAGE_IDS,
-    Battery,
-    Board,
-    ParameterStore,
-    Radio,
-    Reports,
-    Status,
-    between,
-)
-from mavcompass.simulation.px4 import modes
-from mavcompass.simulation.px4.arming import Arming
+from mavcompass.simulation.autopilot.board import Board, Status
+from mavcompass.simulation.autopilot.guidance import Radio
+from mavcompass.simulation.autopilot.parameters import ParameterStore
+from mavcompass.simulation.autopilot.reports import Battery, Reports, between
+from mavcompass.simulation.autopilot.telemetry import MESSAGE_IDS
 from mavcompass.simulation.px4.compasses import Px4Compasses
+from mavcompass.simulation.px4.flight import Arming, base_mode, custom_mode
 from mavcompass.units import MGAUSS_PER_GAUSS
 
 # What a ground station's link carries unasked, hertz.
@@ -86,7 +80,7 @@ class Px4Reports(Reports):
 
     def mode_numbers(self) -> tuple[MavModeFlag, int]:
         """Return HEARTBEAT's base_mode and custom_mode."""
-        return modes.base_mode(self.status.mode, self.status.armed), modes.custom_mode(self.status.mode)
+        return base_mode(self.status.mode, self.status.armed), custom_mode(self.status.mode)
 
     def active(self) -> bool:
         """Tell whether the vehicle is ACTIVE."""

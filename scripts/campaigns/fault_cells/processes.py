@@ -16,7 +16,7 @@ from pathlib import Path
 from fault_cells.scene import COMPASS, Scene
 from fault_cells.works import prepare_write
 from mavcompass.messages import Message, ParamRequestRead, ParamSet
-from mavcompass.simulation.autopilot import Outgoing
+from mavcompass.simulation.autopilot.board import Outgoing
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.server import VehicleServer
 from mavcompass.vehicle.parameters.values import same_value

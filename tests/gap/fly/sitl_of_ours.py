@@ -17,7 +17,7 @@ from mavcompass.compass_parameters import ardupilot_correction
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.errors import LinkLost
 from mavcompass.messages import Message, SetPositionTargetLocalNed
-from mavcompass.simulation.autopilot import Outgoing
+from mavcompass.simulation.autopilot.board import Outgoing
 from mavcompass.simulation.physics.compasses import CompassSetup
 from mavcompass.simulation.physics.sensors import CompassModel
 from mavcompass.simulation.vehicle import SimulatedAutopilot

@@ -38,14 +38,14 @@ def test_condition_yaw_takes_its_time(station, rate, low, high):
 
 
 @pytest.mark.parametrize("vehicle", ["copter", "sub"])
-@pytest.mark.parametrize(("direction", "sign"), [(1.0, 1.0), (-1.0, -1.0)])
-def test_relative_turns_end_where_they_should(station, vehicle, direction, sign):
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_relative_turns_end_where_they_should(station, vehicle, direction):
     s = exact(station, vehicle)
     before = s.vehicle.truth.yaw_rad
     assert s.command(115, 90.0, 30.0, direction, 1.0) == 0
     s.wait(8.0)
     by = math.degrees((s.vehicle.truth.yaw_rad - before + math.pi) % (2 * math.pi) - math.pi)
-    assert by == pytest.approx(sign * 90.0, abs=2.5)
+    assert by == pytest.approx(direction * 90.0, abs=2.5)
 
 
 def test_absolute_turns_obey_the_direction(station):
@@ -86,16 +86,11 @@ def test_a_repeated_relative_turn_restarts_from_the_present_yaw(station):
     assert 100.0 < by < 135.0
 
 
-def test_copter_ignores_a_target_of_yaw_alone(station):
+@pytest.mark.parametrize(("mask", "turned_deg"), [(YAW_ONLY, 0.0), (STAND_AND_YAW, 90.0)])
+def test_copter_turns_by_velocity_zero_and_yaw_and_ignores_yaw_alone(station, mask, turned_deg):
     s = exact(station)
-    s.send(m.SetPositionTargetLocalNed(0, 1, 1, 9, YAW_ONLY, yaw=1.5))
-    assert abs(turned(s, 2.5)) < 2.0
-
-
-def test_copter_turns_by_velocity_zero_and_yaw(station):
-    s = exact(station)
-    s.send(m.SetPositionTargetLocalNed(0, 1, 1, 9, STAND_AND_YAW, yaw=math.pi / 2))
-    assert turned(s, 5.0) == pytest.approx(90.0, abs=3.0)
+    s.send(m.SetPositionTargetLocalNed(0, 1, 1, 9, mask, yaw=math.pi / 2))
+    assert turned(s, 5.0) == pytest.approx(turned_deg, abs=3.0)
 
 
 def test_copter_turns_by_velocity_zero_and_yaw_rate_until_the_targets_end(station):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mavcompass import messages as m
 from mavcompass.enums import MavCmd
-from mavcompass.simulation.autopilot import MESSAGES
+from mavcompass.simulation.autopilot.telemetry import MESSAGES
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 
 KINDS = sorted(

@@ -7,7 +7,7 @@ import pytest
 
 from mavcompass.frames import FloatArray
 from mavcompass.simulation.effects import Setting, catalogue, parse, spell
-from mavcompass.simulation.effects.effect import ON_IRON, Chain, Signals
+from mavcompass.simulation.effects.effect import ON_IRON, Distortion, Signals
 from mavcompass.simulation.physics.signals import Reading, Stimulus
 
 _FIELD = np.array([[220.0, -40.0, 410.0], [-180.0, 90.0, 380.0]])
@@ -23,7 +23,7 @@ def _run(field: FloatArray, *texts: str) -> FloatArray:
         np.zeros((n, 0)),
     )  # fmt: skip
     settings = [parse(text) for text in texts]
-    return Chain(settings).run(Signals(stimulus, Reading(field, zero, zero)), None).reading.mag_mgauss
+    return Distortion(settings).run(Signals(stimulus, Reading(field, zero, zero)), None).reading.mag_mgauss
 
 
 def test_gains_axes_and_turns_are_of_the_sensor() -> None:

@@ -15,8 +15,9 @@ from mavcompass.simulation.physics.compasses import CompassSetup
 from mavcompass.simulation.physics.hand import HandMove
 from mavcompass.simulation.physics.motion import rotation_matrix
 from mavcompass.simulation.physics.noise import NoiseTape, generator
+from mavcompass.simulation.physics.profiles import Place
 from mavcompass.simulation.physics.sensors import Compass, CompassModel
-from mavcompass.simulation.physics.world import Place, World
+from mavcompass.simulation.physics.world import World
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 
 ANGLE = st.floats(-3.1, 3.1)
