@@ -118,6 +118,14 @@ class BootClock:
         before = np.maximum(np.searchsorted(self._order, order, side="right") - 1, 0)
         return self._time_s[before]
 
+    def restarts(self) -> list[str]:
+        """Tell of power-ups after the first."""
+        starts = self.shift_s.size
+        if starts < 2:
+            return []
+        at = ", ".join(f"{start:.1f}" for start in self.start_s[1:6])
+        return [f"The autopilot was started {starts} times; time_s goes on across the restarts (at {at} s)."]
+
     def utc_offset_s(self) -> float | None:
         """Return the Unix time of time_s = 0 by the logging clock; None where that was not set."""
         offset = float(np.median(self._log_s - self._time_s))

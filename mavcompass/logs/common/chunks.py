@@ -130,3 +130,12 @@ def not_overlapping(starts: IntArray, ends: IntArray) -> NDArray[np.bool_]:
             before -= 1
         keep[index] = starts[index] >= ends[before]
     return keep
+
+
+def damage(skipped_bytes: int, stretches: int, read: str, at_the_end: bool = False) -> list[str]:
+    """Tell of bytes that were left out; `read` says what was read all the same."""
+    if not skipped_bytes:
+        return []
+    places = "1 place" if stretches == 1 else f"{stretches} places"
+    where = "its end" if at_the_end and stretches == 1 else places
+    return [f"The recording is damaged at {where}: {skipped_bytes} bytes were left out, {read} were read."]

@@ -90,6 +90,14 @@ def px4_steps(history: Sequence[Change], instance: int) -> tuple[tuple[InForce, 
         return _UNKNOWN
 
 
+def unknown_correction(instance: int) -> str:
+    """Tell that the correction inside a compass's readings is not known."""
+    return (
+        f"The parameters of compass {instance} are not in the recording, or no compass can have them: its "
+        "readings are taken as they are, with whatever correction was inside them."
+    )
+
+
 def _steps(
     history: Sequence[Change],
     names: set[str],

@@ -18,7 +18,7 @@ from mavcompass.credible import converted
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, matrix_to_euler, quaternion_to_matrix
 from mavcompass.installation.parts import require
-from mavcompass.logs.common import finite_series
+from mavcompass.logs.common.samples import finite_series
 from mavcompass.track import InForce, MagSeries, Series, Track
 
 NAME = "ROS 2 bag (.mcap, .db3)"

@@ -8,7 +8,7 @@ from struct import Struct
 
 from mavcompass.errors import BadRecording, UsageError
 from mavcompass.files import require_file
-from mavcompass.logs.common import read_chunks
+from mavcompass.logs.common.chunks import read_chunks
 from mavcompass.logs.formats.tlog.frames import LONGEST_RECORD, PADDING, find_frames
 from mavcompass.vehicle.wire.framing import Frame, split_frame
 

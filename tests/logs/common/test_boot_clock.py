@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavcompass.logs.common import BootClock, build_clock, impossible_times, in_order
+from mavcompass.logs.common.boot_clock import BootClock, build_clock, impossible_times
+from mavcompass.logs.common.samples import in_order
 
 
 def clock(boot_s: np.ndarray, log_s: np.ndarray) -> BootClock:

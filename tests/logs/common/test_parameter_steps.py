@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from mavcompass.logs.common import Seen, ardupilot_steps, changes, motor_outputs
+from mavcompass.logs.common.parameter_steps import Seen, ardupilot_steps, changes
+from mavcompass.logs.common.samples import motor_outputs
 
 
 def test_the_first_value_held_before_it_was_seen() -> None:

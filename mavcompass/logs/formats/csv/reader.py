@@ -15,7 +15,8 @@ import numpy as np
 from mavcompass.correction import IDENTITY
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
-from mavcompass.logs.common import MOST_LINE, GrowingArray, finite_series
+from mavcompass.logs.common.chunks import MOST_LINE, GrowingArray
+from mavcompass.logs.common.samples import finite_series
 from mavcompass.logs.formats.csv.columns import KNOWN, MOTORS, SCALARS, TIME, VECTORS
 from mavcompass.logs.formats.csv.steps import format_steps
 from mavcompass.track import InForce, MagSeries, Series, Track

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.logs.common import BootClock, build_clock, impossible_times
+from mavcompass.logs.common.boot_clock import BootClock, build_clock, impossible_times
 from mavcompass.logs.formats.dataflash.records import Log, Records
 
 _MICRO, _MILLI = 1.0e-6, 1.0e-3

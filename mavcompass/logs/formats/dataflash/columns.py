@@ -9,7 +9,8 @@ import numpy as np
 
 from mavcompass.credible import converted, incredible, quaternions_of
 from mavcompass.frames import FloatArray, wrap_pi
-from mavcompass.logs.common import BootClock, finite_series, motor_outputs
+from mavcompass.logs.common.boot_clock import BootClock
+from mavcompass.logs.common.samples import finite_series, motor_outputs
 from mavcompass.logs.formats.dataflash.clock import boot_time_s
 from mavcompass.logs.formats.dataflash.records import Log, Records
 from mavcompass.track import Series

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mavcompass.compass_parameters import ardupilot_name
 from mavcompass.errors import BadRecording, NoMagnetometer
-from mavcompass.logs.common import (
-    BootClock,
-    Change,
-    ardupilot_steps,
-    changes,
-    damage,
-    restarts,
-    said_nothing,
-    spoken,
-    unknown_correction,
-)
-from mavcompass.logs.formats.dataflash.clock import clock_of, leave_out_impossible_times
+from mavcompass.logs.common.boot_clock import BootClock
+from mavcompass.logs.common.chunks import damage
+from mavcompass.logs.common.parameter_steps import Change, Seen, ardupilot_steps, changes, unknown_correction
+from mavcompass.logs.common.samples import spoken
+from mavcompass.logs.formats.dataflash.clock import boot_time_s, clock_of, leave_out_impossible_times
 from mavcompass.logs.formats.dataflash.columns import columns, take
-from mavcompass.logs.formats.dataflash.parameters import parameters_seen
-from mavcompass.logs.formats.dataflash.records import DataFlashContents, Log, read_records
+from mavcompass.logs.formats.dataflash.records import DataFlashContents, Log, Records, read_records
 from mavcompass.logs.formats.dataflash.text import read_text_records
 from mavcompass.track import MagSeries, Track
 
@@ -55,6 +50,8 @@ WANTED: dict[str, tuple[str, ...]] = {
 }
 _FIRMWARES = (("Rover", "rover"), ("Copter", "copter"), ("Sub", "sub"), ("Plane", "plane"))
 _BOAT = 2  # FRAME_CLASS
+# A compass that learns its offsets in flight changes them with every record.
+_MOST_OFFSET_STEPS = 1000
 
 
 def read_dataflash(path: Path, *, text: bool = False) -> Track:
@@ -75,7 +72,7 @@ def read_dataflash(path: Path, *, text: bool = False) -> Track:
     clock = clock_of(logs)
     if glitches:
         notes.append(f"Left out {glitches} records with an impossible time.")
-    notes += restarts(clock)
+    notes += clock.restarts()
     history = changes(parameters_seen(logs, clock), clock.start_s.tolist())
     parameters = {change.name: change.value for change in history}
     compasses, silences = _compasses(logs, clock, history)
@@ -135,10 +132,10 @@ def _compasses(
     for name, base in (("MAG", 1), ("MAG2", 2), ("MAG3", 3)):
         for number, placed in take(logs, clock, name):
             instance = base + number
-            reported, silent = spoken(placed.series("MagX", "MagY", "MagZ"))
+            reported, silences = spoken(placed.series("MagX", "MagY", "MagZ"), instance)
             if reported is None or instance in out:
                 continue
-            notes += said_nothing(instance, silent, reported)
+            notes += silences
             steps, known = ardupilot_steps(history, instance)
             names = ardupilot_name("DEV_ID", instance)
             ids = [int(change.value) for change in history if change.name == names]
@@ -173,3 +170,64 @@ def _notes_about_the_file(contents: DataFlashContents) -> list[str]:
     if len(contents.logs) > 1:
         notes.append(f"The file holds {len(contents.logs)} logs one after the other.")
     return notes
+
+
+def parameters_seen(logs: Sequence[Log], clock: BootClock) -> list[Seen]:
+    """List every PARM of the logs, and the offsets that MAG shows where PARM does not have them."""
+    out: list[Seen] = []
+    for log in logs:
+        records = log.records.get("PARM")
+        if records is not None and "Name" in records and "Value" in records:
+            out += _parameters(records, clock)
+    names = {one.name for one in out}
+    for log in logs:
+        for base, kind in enumerate(("MAG", "MAG2", "MAG3"), start=1):
+            mag = log.records.get(kind)
+            if mag is not None and all(f"Ofs{axis}" in mag for axis in "XYZ"):
+                out += _mag_offsets(mag, base, clock, names)
+    return out
+
+
+def _parameters(records: Records, clock: BootClock) -> Iterator[Seen]:
+    boot_s = boot_time_s("PARM", records)
+    time_s = clock.from_order(records.order) if boot_s is None else clock.from_boot(records.order, boot_s)
+    # At the start of a log all parameters are written; a name that comes again was set.
+    power_up = clock.segment(records.order).tolist()
+    known: set[tuple[int, bytes]] = set()
+    names, values = records.rows["Name"].tolist(), records.rows["Value"].tolist()
+    for moment, name, value, number in zip(time_s.tolist(), names, values, power_up, strict=True):
+        again = (number, name) in known
+        known.add((number, name))
+        yield Seen(moment, name.decode("ascii", "replace"), value, announced=again, power_up=number)
+
+
+def _mag_offsets(mag: Records, base: int, clock: BootClock, names: set[str]) -> Iterator[Seen]:
+    """Read offsets off MAG for compasses whose COMPASS_OFS is in no PARM."""
+    boot_s = boot_time_s("MAG", mag)
+    if boot_s is None:
+        return
+    numbers = mag.rows["I"] if "I" in mag else np.zeros(len(mag), dtype=np.uint8)
+    for number in np.unique(numbers).tolist():
+        instance = base + int(number)
+        if names & {ardupilot_name("OFS_X", instance), ardupilot_name("OFS_X", instance, "COMPASS2_OFS_X")}:
+            continue
+        changed = _changed(mag, numbers == number)
+        some = mag.select(changed)
+        time_s = clock.from_boot(some.order, boot_s[changed])
+        power_up = clock.segment(some.order)
+        for axis in "XYZ":
+            name = ardupilot_name(f"OFS_{axis}", instance)
+            offsets = some.quantity(f"Ofs{axis}")
+            for moment, value, part in zip(time_s.tolist(), offsets.tolist(), power_up.tolist(), strict=True):
+                yield Seen(moment, name, value, True, part)
+
+
+def _changed(mag: Records, which: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Find the records, among one instance's, where the offsets are others than before."""
+    rows = np.flatnonzero(which)
+    fresh = np.zeros(rows.size, dtype=bool)
+    fresh[:1] = True
+    for axis in "XYZ":
+        offsets = mag.rows[f"Ofs{axis}"][rows]
+        fresh[1:] |= offsets[1:] != offsets[:-1]
+    return rows[fresh][:_MOST_OFFSET_STEPS]

@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 
 from mavcompass.credible import open_ended
 from mavcompass.frames import FloatArray
-from mavcompass.logs.common import CHUNK_BYTES, Chunk, GrowingArray, not_overlapping, read_chunks, windows
+from mavcompass.logs.common.chunks import (
+    CHUNK_BYTES,
+    Chunk,
+    GrowingArray,
+    not_overlapping,
+    read_chunks,
+    windows,
+)
 from mavcompass.logs.formats.dataflash.record_types import (
     FMT_BYTES,
     FMT_TYPE,

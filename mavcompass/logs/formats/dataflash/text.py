@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mavcompass.logs.common import MOST_LINE
+from mavcompass.logs.common.chunks import MOST_LINE
 from mavcompass.logs.formats.dataflash.record_types import FMT_TYPE, TEXT, Field, Format, Units, make_format
 from mavcompass.logs.formats.dataflash.records import DataFlashContents, Log, Records
 

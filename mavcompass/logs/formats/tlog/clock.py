@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
-from mavcompass.logs.common import BootClock, build_clock, in_order
+from mavcompass.logs.common.boot_clock import BootClock, build_clock
+from mavcompass.logs.common.samples import in_order
 from mavcompass.logs.formats.tlog.messages import Messages
 from mavcompass.two_clocks import TwoClocks
 

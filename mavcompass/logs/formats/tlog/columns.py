@@ -11,15 +11,8 @@ from mavcompass.compass_parameters import ardupilot_name, px4_name, px4_sensor_t
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.credible import open_ended, quaternions_of, turned_field
 from mavcompass.frames import FloatArray
-from mavcompass.logs.common import (
-    Change,
-    ardupilot_steps,
-    finite_series,
-    motor_outputs,
-    px4_steps,
-    said_nothing,
-    spoken,
-)
+from mavcompass.logs.common.parameter_steps import Change, ardupilot_steps, px4_steps
+from mavcompass.logs.common.samples import finite_series, motor_outputs, spoken
 from mavcompass.logs.formats.tlog.clock import Placer, Samples
 from mavcompass.messages import telemetry
 from mavcompass.track import InForce, MagSeries, Series
@@ -88,10 +81,10 @@ def compass_of(
             notes += more
     else:
         known = False
-    series, silent = spoken(finite_series(samples.time_s, reported))
+    series, silences = spoken(finite_series(samples.time_s, reported), instance)
     if series is None:
         return None, (f"{samples.name} carries no magnetic field: there is no compass {instance}.",)
-    notes += said_nothing(instance, silent, series)
+    notes += silences
     compass = MagSeries(
         instance=instance,
         reported=series,

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from mavcompass.compass_parameters import ardupilot_name
 from mavcompass.errors import MavCompassError
-from mavcompass.logs.common import Change, ardupilot_steps, unknown_correction
+from mavcompass.logs.common.parameter_steps import Change, ardupilot_steps, unknown_correction
 from mavcompass.logs.formats.dataflash.reader import read_parameters
 from mavcompass.track import MagSeries, Track
 

@@ -18,7 +18,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.logs.common import ByteArray, Chunk, IntArray, not_overlapping, windows
+from mavcompass.logs.common.chunks import ByteArray, Chunk, IntArray, not_overlapping, windows
 from mavcompass.messages import dialect
 from mavcompass.messages.frame import (
     ADDRESS_AT_1,

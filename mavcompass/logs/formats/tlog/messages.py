@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
-from mavcompass.logs.common import CHUNK_BYTES, Chunk, GrowingArray, read_chunks, windows
+from mavcompass.logs.common.chunks import CHUNK_BYTES, Chunk, GrowingArray, read_chunks, windows
 from mavcompass.logs.formats.tlog.frames import (
     LONGEST_RECORD,
     PADDING,

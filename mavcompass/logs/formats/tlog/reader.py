@@ -13,17 +13,21 @@ from mavcompass.compass_parameters import px4_name
 from mavcompass.enums import MavAutopilot, MavType
 from mavcompass.errors import BadRecording, NoMagnetometer
 from mavcompass.kinds import AUTOPILOTS, VEHICLES
-from mavcompass.logs.common import BootClock, Change, changes, damage, restarts, unknown_correction
+from mavcompass.logs.common.boot_clock import BootClock
+from mavcompass.logs.common.chunks import damage
+from mavcompass.logs.common.parameter_steps import Change, Seen, changes, unknown_correction
 from mavcompass.logs.formats.tlog.clock import Placer, in_turns, keep_one_vehicle
 from mavcompass.logs.formats.tlog.columns import HIGHRES, body_columns, columns, compass_of, spokesmen
 from mavcompass.logs.formats.tlog.messages import Messages, Sender, TlogContents, read_messages
-from mavcompass.logs.formats.tlog.parameters import parameters_seen
 from mavcompass.messages import telemetry
+from mavcompass.messages.bits import number_told
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.two_clocks import shared_id
 from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
 
 _MILLI = 0.001
+# PARAM_VALUE without a place in the list: the answer to a write, not to a download.
+_NO_INDEX = 65535
 _SHARED = (
     "Two autopilots share a system id and were recorded at the same time: only the one that said most is "
     "read. Give each its own (SYSID_THISMAV, MAV_SYS_ID)."
@@ -94,7 +98,7 @@ def _identity(heartbeats: Messages | None) -> tuple[str, str]:
 
 
 def _notes_about_time(clock: BootClock, placer: Placer) -> list[str]:
-    notes = restarts(clock)
+    notes = clock.restarts()
     if placer.misplaced:
         carry = "1 message carries" if placer.misplaced == 1 else f"{placer.misplaced} messages carry"
         notes.append(f"{carry} an impossible time: placed by arrival.")
@@ -114,6 +118,55 @@ def _utc_offset(system_time: Messages | None, clock: BootClock) -> float | None:
             time_s = clock.from_boot(system_time.order[set_], system_time.rows.time_boot_ms[set_] * _MILLI)
             return float(np.median(unix_s[set_] - time_s))
     return clock.utc_offset_s()
+
+
+def parameters_seen(messages: dict[str, Messages], clock: BootClock, autopilot: str) -> list[Seen]:
+    """List every PARAM_VALUE; SENSOR_OFFSETS of old ArduPilot stands in where the offsets are not among them.
+
+    PX4 sends integers as the bytes of a float, ArduPilot as a float of the same value.
+    """
+    out = _parameters(messages.pop("PARAM_VALUE", None), clock, as_bytes=autopilot == "px4")
+    offsets = messages.pop("SENSOR_OFFSETS", None)
+    if offsets is not None and not any(one.name == "COMPASS_OFS_X" for one in out):
+        out = _sensor_offsets(offsets, clock) + out
+    return out
+
+
+def _parameters(found: Messages | None, clock: BootClock, *, as_bytes: bool) -> list[Seen]:
+    if found is None:
+        return []
+    time_s = clock.from_log(found.order, found.log_time_s)
+    power_up = clock.segment(found.order)
+    rows = found.rows
+    columns = zip(
+        time_s.tolist(),
+        rows.param_id.tolist(),
+        rows.param_value.tolist(),
+        rows.param_type.tolist(),
+        rows.param_index.tolist(),
+        power_up.tolist(),
+        strict=True,
+    )
+    return [
+        Seen(
+            time_s=moment,
+            name=name.decode("ascii", "replace"),
+            value=number_told(value, kind) if as_bytes else value,
+            announced=index == _NO_INDEX,
+            power_up=number,
+        )
+        for moment, name, value, kind, index, number in columns
+    ]
+
+
+def _sensor_offsets(found: Messages, clock: BootClock) -> list[Seen]:
+    time_s = clock.from_log(found.order, found.log_time_s)
+    power_up = clock.segment(found.order)
+    return [
+        Seen(moment, f"COMPASS_OFS_{axis}", float(value), announced=True, power_up=number)
+        for moment, number, row in zip(time_s.tolist(), power_up.tolist(), found.rows.tolist(), strict=True)
+        for axis, value in zip("XYZ", row, strict=True)
+    ]
 
 
 _IMU_FIELDS = ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro", "xmag", "ymag", "zmag", "temperature")

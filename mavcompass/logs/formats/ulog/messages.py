@@ -17,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.errors import BadRecording
-from mavcompass.logs.common import CHUNK_BYTES, Chunk, GrowingArray, IntArray, Seen, read_chunks, windows
+from mavcompass.frames import FloatArray
+from mavcompass.logs.common.chunks import CHUNK_BYTES, Chunk, GrowingArray, IntArray, read_chunks, windows
+from mavcompass.logs.common.parameter_steps import Seen
 
 MAGIC = b"ULog\x01\x12\x35"
 _HEAD_BYTES, _HEADER_BYTES = 16, 3
@@ -46,6 +48,28 @@ class Topic:
     name: str
     multi_id: int
     data: Mapping[str, NDArray[Any]]
+
+    @property
+    def time_s(self) -> FloatArray:
+        """Return when the samples were taken, seconds since boot, (N,): of the sample where it is logged."""
+        stamp = self.data.get("timestamp_sample")
+        if stamp is None or not np.asarray(stamp).any():
+            stamp = self.data["timestamp"]
+        return np.asarray(stamp, dtype=np.float64) * _MICRO
+
+    def has(self, *names: str) -> bool:
+        """Tell whether a topic has all these fields."""
+        return all(name in self.data for name in names)
+
+    def vector(self, *names: str) -> FloatArray:
+        """Return fields as (N,) or, for several, (N, k)."""
+        found = [np.asarray(self.data[name], dtype=np.float64) for name in names]
+        return found[0] if len(found) == 1 else np.stack(found).T
+
+
+def indexed(stem: str, count: int = 3) -> tuple[str, ...]:
+    """Spell an array's fields: 'q' is q[0], q[1], ..."""
+    return tuple(f"{stem}[{number}]" for number in range(count))
 
 
 @dataclass(slots=True)
