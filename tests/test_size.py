@@ -14,11 +14,11 @@ LINES = {
     "package simulation": (7_820, 5_800),
     "package attitude calibration heading": (8_940, 5_400),
     "package vehicle messages enums.py": (7_650, 5_200),
-    "package procedure": (6_240, 4_400),
+    "package procedure": (6_250, 4_400),
     "package service": (5_300, 4_100),
     "package logs": (4_460, 3_600),
     "package cli": (4_050, 2_900),
-    "package": (66_270, 46_500),
+    "package": (66_280, 46_500),
     "tests": (43_210, 29_000),
     "scripts": (8_580, 4_400),
 }

@@ -115,6 +115,7 @@ class OwnHeading:
     _bent_deg: float = 0.0
     _has_a_way: bool = True
     _follows: bool = False
+    _bias_is_bent: bool = False
     _turned: FloatArray | None = None
     _not_before_s: float = -math.inf
 
@@ -162,8 +163,11 @@ class OwnHeading:
             yield from self._release()
             self.by.append(_BELIEVING)
             self.samples.clear()
-        else:  # a yaw that is right now may be of an estimator whose gyro's bias is not
+        elif self.desk.dialect.loads_disarmed:
             yield from self._put_right(self.error_deg)
+        else:  # right for the proof; the bias of its gyro is seen to once nothing turns any more
+            yield from self._switch()
+            self._bias_is_bent = not self.flying
 
     def _until_it_follows(self) -> Script[None]:
         """Wait until an estimator has followed its compass, all of a sample long."""
@@ -185,6 +189,9 @@ class OwnHeading:
             if self.not_loaded and not (yield from self._load()):
                 self._look()
                 return
+            if self._bias_is_bent:
+                self._bias_is_bent = False
+                yield from self._put_right(self.error_deg)
             began_s = self._context.now
             while self._context.now - began_s < self._patience_s() and math.isfinite(self.before_deg):
                 self._look()
@@ -224,7 +231,7 @@ class OwnHeading:
         """Begin anew after a restart of the autopilot."""
         self.by, self._latest_deg = ["a restart"], math.nan
         self.samples.clear()
-        self._has_a_way, self._not_before_s = True, -math.inf
+        self._has_a_way, self._not_before_s, self._bias_is_bent = True, -math.inf, False
 
     def outcome(self) -> AutopilotHeading:
         """Return what came of it."""
