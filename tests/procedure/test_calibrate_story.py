@@ -53,6 +53,7 @@ def test_the_story_of_a_calibration(tmp_path: Path) -> None:
     report = calibrate_on(
         SimulatedLink(vehicle), "sim:test", settings, on_show=shown.append, undo_directory=tmp_path
     )
+    follows = "the autopilot still follows, # deg off now (at most 115 s more; you may stop here)."
     assert told(shown) == [
         ("connect", 0.0, "Waiting for the vehicle's heartbeat."),
         ("connect", None, "Found ArduPilot rover, system 1."),
@@ -66,12 +67,13 @@ def test_the_story_of_a_calibration(tmp_path: Path) -> None:
         ("solve", 0.8, "Compass 1"),
         ("write", None, "Writing 9 parameters; to undo"),
         ("written", 0.9, "Written and read back."),
+        ("prove", None, "Turning once more to check the new values."),
+        ("prove", 0.95, "Checked by a turn"),
         ("write", None, "Setting 2 parameters for a while; if they stay"),
         ("undo", None, "The autopilot's estimator gets its settings back. Putting 2 parameters back."),
         ("undo", None, "The old parameters are back."),
         ("heading", None, "The autopilot was # deg off; it now uses the new heading."),
-        ("prove", None, "Turning once more to check the new values."),
-        ("prove", 0.95, "Checked by a turn"),
+        ("heading", None, f"All is written; {follows}"),
     ]
     # What it wants to hear, where it was not as fast already; at the end each is as it was.
     wanted = {mav.RawImu: 25.0, mav.Attitude: 10.0, mav.EkfStatusReport: 2.0, mav.SystemTime: 2.0}
