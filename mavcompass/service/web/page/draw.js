@@ -19,12 +19,12 @@ export class Rose {
     this.arc = element("path", { class: "r-arc" });
     this.card = element("g");
     for (const radius of [100, 74]) svg.append(element("circle", { r: radius, class: "r-ring" }));
-    this.course = element("path", { class: "r-course", d: "M0-100L5-112L-5-112Z" });
     svg.append(this.arc, this.card);
     for (let degrees = 0; degrees < 360; degrees += 10) this.tick(degrees);
     ["N", "NE", "E", "SE", "S", "SW", "W", "NW"].forEach((name, k) => this.name(name, 45 * k));
     svg.append(element("path", { class: "r-boat", d: "M0-34C13-16 13 6 11 30L-11 30C-13 6-13-16 0-34Z" }));
     svg.append(element("path", { class: "r-lubber", d: "M0-84L6-101L-6-101Z" }));
+    this.course = element("path", { class: "r-course", d: "M0-100L5-112L-5-112Z" });
     this.card.append(this.course);
     this.shown = null;
   }
@@ -87,7 +87,7 @@ export class Field {
       element("line", { x1: middle - 58, x2: middle + 58, y1: 0, y2: 0, class: "c-axis" }),
       element("line", { y1: -58, y2: 58, x1: middle, x2: middle, class: "c-axis" }));
     if (earth) {
-      const [cx, cy] = beside([across, 0, Math.sqrt(total * total - across * across) * Math.sign(earth.dip_deg)]);
+      const [cx, cy] = beside([across, 0, total * Math.sin(earth.dip_deg * RAD)]);
       pieces.push(element("circle", { r: (54 * across) / farthest, class: "c-earth" }), element("circle", { cx, cy, r: 6, class: "c-earth" }));
     }
     for (const [place, middle] of [[above, 0], [beside, 120]]) {
