@@ -26,7 +26,6 @@ _IMU_MESSAGES: dict[type[mav.Message], str] = {
     mav.ScaledImu3: "SCALED_IMU3",
 }
 
-_FIX_3D, _UNKNOWN_U16 = 3, 65535
 _OTHER_CLOCK_S = 30.0
 # Five hours at 50 Hz, or 80 MB of a message with ten numbers.
 _MOST_ROWS = 1_000_000
@@ -127,8 +126,8 @@ class TrackBuilder:
             if abs(time_s - self.latest_s) > _OTHER_CLOCK_S:  # some send the time of day here
                 time_s = self.vehicle_time_s(heard.time_s)
             # The receiver's own velocity: the one in GLOBAL_POSITION_INT is bent by a bent compass.
-            if message.fix_type >= _FIX_3D and _UNKNOWN_U16 not in (message.vel, message.cog):
-                north, east, _ = telemetry.ground_velocity_mps(message).tolist()
+            north, east, _ = telemetry.ground_velocity_mps(message).tolist()
+            if north == north:
                 self._column("gps_velocity_mps").add(time_s, north, east)
             if (yaw_rad := float(telemetry.second_antenna_rad(message))) == yaw_rad:
                 self._column("gps_yaw_rad").add(time_s, yaw_rad)

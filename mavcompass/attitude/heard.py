@@ -6,9 +6,9 @@ import math
 
 from mavcompass import messages as mav
 from mavcompass.attitude.level import RECEIVER_LAG_S, Level
+from mavcompass.messages import telemetry
 from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
 
-_FIX_3D, _UNKNOWN_U16 = 3, 65535
 # No fix is older; some send the time of day with their position.
 _OTHER_CLOCK_S = 2.0
 # No vehicle is faster; and no finite number that a wire may bring beyond it does harm.
@@ -31,14 +31,12 @@ def hear(level: Level, message: mav.Message) -> None:
         if math.isfinite(message.roll) and math.isfinite(message.pitch):
             level.hear_attitude(message.time_boot_ms * 1e-3, message.roll, message.pitch)
     elif isinstance(message, mav.GpsRawInt):
-        if message.fix_type < _FIX_3D or _UNKNOWN_U16 in (message.vel, message.cog):
-            return
-        speed, course = message.vel * 0.01, math.radians(message.cog * 0.01)
+        north, east, _ = telemetry.ground_velocity_mps(message).tolist()
         moment_s = message.time_usec * 1e-6
         if abs(moment_s - level.time_s) > _OTHER_CLOCK_S:
             moment_s = level.time_s
-        if speed < _FASTEST_MPS:
-            level.hear_velocity(moment_s - RECEIVER_LAG_S, speed * math.cos(course), speed * math.sin(course))
+        if math.hypot(north, east) < _FASTEST_MPS:  # which nan is not
+            level.hear_velocity(moment_s - RECEIVER_LAG_S, north, east)
 
 
 def _uncut(number: int) -> float:

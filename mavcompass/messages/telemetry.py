@@ -16,7 +16,7 @@ from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
 # The compass that each message carries. RAW_IMU of ArduPilot is compass 1, corrected like SCALED_IMU;
 # PX4 sends SCALED_IMU uncorrected and in the sensor's axes.
 MAG_MESSAGES = {"RAW_IMU": 1, "SCALED_IMU": 1, "SCALED_IMU2": 2, "SCALED_IMU3": 3}
-_UNKNOWN_U16 = 65535
+FIX_3D, _UNKNOWN_U16 = 3, 65535
 
 
 def _columns(*columns: Any) -> FloatArray:
@@ -68,7 +68,11 @@ def second_antenna_rad(gps_raw: Any) -> FloatArray:
 
 
 def ground_velocity_mps(gps_raw: Any) -> FloatArray:
-    """Read the receiver's velocity off GPS_RAW_INT: north, east, and down, which it does not tell (nan)."""
-    speed = np.asarray(gps_raw.vel) * 0.01
+    """Read the receiver's velocity off GPS_RAW_INT: north, east, and down, which it does not tell (nan).
+
+    All are nan where it has no fix, or does not tell its speed and course.
+    """
+    told = (gps_raw.fix_type >= FIX_3D) & (gps_raw.vel != _UNKNOWN_U16) & (gps_raw.cog != _UNKNOWN_U16)
+    speed = np.where(told, np.asarray(gps_raw.vel) * 0.01, np.nan)
     course = np.radians(np.asarray(gps_raw.cog) * 0.01)
     return _columns(speed * np.cos(course), speed * np.sin(course), np.full_like(speed, np.nan))

@@ -14,6 +14,7 @@ from mavcompass.compass_parameters import is_calibrated
 from mavcompass.earth_field import EarthField
 from mavcompass.heading.doubt import prior_sigma_rad
 from mavcompass.heading.live import Heading, LiveCompass
+from mavcompass.messages import telemetry
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState
 from mavcompass.service.watch import Glance
 from mavcompass.steering import compasses_of
@@ -24,7 +25,6 @@ GONE_S = 2.0
 # A clock that falls back by more than this was started again; less is a late message.
 _REBOOT_S = 2.0
 _PREFERRED_SILENCE_S = 1.0
-_UNKNOWN = 65535  # of course and speed, as GPS_RAW_INT has it
 _NEAR_1E7_DEG = 1_000_000  # a tenth of a degree, as GLOBAL_POSITION_INT counts
 
 
@@ -185,9 +185,8 @@ class VehicleView:
     def over_ground(self) -> tuple[float | None, float]:
         """Return course, true, radians, and speed, m/s, by the receiver; None and 0 where it tells none."""
         gps = self.state.gps
-        if gps is None or gps.fix_type < 3 or gps.cog == _UNKNOWN:
-            return None, 0.0
-        return math.radians(gps.cog * 0.01), 0.0 if gps.vel == _UNKNOWN else gps.vel * 0.01
+        north, east = (math.nan, math.nan) if gps is None else telemetry.ground_velocity_mps(gps)[:2].tolist()
+        return (None, 0.0) if math.isnan(north) else (math.atan2(east, north), math.hypot(north, east))
 
     def glance(self, time_s: float) -> Glance:
         """Return what the watch looks at."""

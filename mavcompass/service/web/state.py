@@ -44,7 +44,7 @@ def moment_json(station: Station) -> dict[str, Any]:
         "roll_deg": round(math.degrees(level.roll_rad), 1),
         "pitch_deg": round(math.degrees(level.pitch_rad), 1),
         "still": abs(level.rate_radps) < 0.02,
-        "course_deg": None if course_rad is None or not moves else round(math.degrees(course_rad), 1),
+        "course_deg": None if course_rad is None or not moves else round(math.degrees(course_rad) % 360.0, 1),
     }
 
 

@@ -117,8 +117,6 @@ def _highres_mgauss(rows: object, autopilot: str) -> FloatArray:
 
 
 _CENTI = 0.01
-_GPS_FIX_3D = 3
-_UNKNOWN_U16 = 65535
 
 
 def body_columns(body: Samples) -> dict[str, Series]:
@@ -180,14 +178,12 @@ def _gps(placer: Placer) -> dict[str, Series]:
         yaw = telemetry.second_antenna_rad(rows)
         if bool((has_yaw := np.isfinite(yaw)).any()):
             out["gps_yaw_rad"] = Series.of(receiver.time_s[has_yaw], yaw[has_yaw])
-        fix = rows.fix_type >= _GPS_FIX_3D
+        fix = rows.fix_type >= telemetry.FIX_3D
         if bool(fix.any()):
             out["place"] = Series.of(receiver.time_s[fix], telemetry.place(rows[fix]))
-        moves = fix & (rows.vel != _UNKNOWN_U16) & (rows.cog != _UNKNOWN_U16)
-        if bool(moves.any()):
-            out["gps_velocity_mps"] = Series.of(
-                receiver.time_s[moves], telemetry.ground_velocity_mps(rows[moves])
-            )
+        velocity = telemetry.ground_velocity_mps(rows)
+        if bool((moves := np.isfinite(velocity[:, 0])).any()):
+            out["gps_velocity_mps"] = Series.of(receiver.time_s[moves], velocity[moves])
     estimate = placer.take("GLOBAL_POSITION_INT")
     if estimate is not None:
         rows = estimate.rows
