@@ -10,7 +10,7 @@ import numpy as np
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate, rotate_back, wrap_pi
 from mavcompass.simulation.physics.noise import generator
-from mavcompass.simulation.physics.signals import Reading, Stimulus
+from mavcompass.simulation.physics.signals import Reading, Signals, Stimulus
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
@@ -28,18 +28,22 @@ def heading_errors_rad(
     """Return the heading error of a correction (by default the one in force) on the whole circle.
 
     The vehicle is held at 72 equal steps and a tilt, at its present current and temperature. The
-    reading is free of noise (that of effects, which may be random, excepted); the tilt and the
-    declination are known exactly.
+    reading is free of noise (that of effects, which may be random, excepted). How the sensors really stand
+    and the declination at the place are known exactly: ground that is not level, or a rock in it, is no error
+    of a compass.
     """
     yaw = np.linspace(-math.pi, math.pi, 72, endpoint=False)
-    rotation = euler_to_matrix(roll_rad, pitch_rad, yaw)
-    raw = raw_readings(vehicle, instance, rotation)
+    raw, stands, field_ned = _held(vehicle, instance, euler_to_matrix(roll_rad, pitch_rad, yaw))
+    raw = raw @ vehicle.firmware.compasses.turned(instance).T
     chosen = vehicle.firmware.compasses.held(instance) if correction is None else correction
     load = np.full(yaw.size, vehicle.board.surroundings().current_a)
     field = chosen.apply(raw, load if chosen.motor_source == "current" else None)
-    level = rotate(euler_to_matrix(roll_rad, pitch_rad, 0.0), field)
-    found = np.arctan2(-level[:, 1], level[:, 0]) + vehicle.world.declination_rad
-    return np.asarray(wrap_pi(found - yaw), dtype=np.float64)
+    nose = np.arctan2(stands[:, 1, 0], stands[:, 0, 0])
+    c, s = np.cos(nose), np.sin(nose)
+    north, east, _ = rotate(stands, field).T
+    found = np.arctan2(s * north - c * east, c * north + s * east)
+    magnetic = nose - np.arctan2(field_ned[:, 1], field_ned[:, 0])
+    return np.asarray(wrap_pi(found - magnetic), dtype=np.float64)
 
 
 def heading_error_rms_deg(
@@ -50,31 +54,27 @@ def heading_error_rms_deg(
     return float(np.degrees(np.sqrt(np.mean(errors**2))))
 
 
-def raw_readings(vehicle: SimulatedAutopilot, instance: int, rotation: FloatArray) -> FloatArray:
-    """Return what a compass reads at rest in given attitudes (N, 3, 3): uncorrected, in body axes, (N, 3).
+def _held(
+    vehicle: SimulatedAutopilot, instance: int, rotation: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Hold a vehicle in attitudes (N, 3, 3), each long enough for any lag to settle.
 
-    Those axes are what the parameters make of the sensor's.
+    Returns what a compass reads there in the sensor's axes, uncorrected, (N, 3); how its sensors really
+    stand, (N, 3, 3); and the Earth's field there, (N, 3).
     """
-    field_ned = np.asarray(vehicle.world.field_ned_mgauss)
-    compass = vehicle.board.sensors.compasses[instance - 1]
-    raw = compass.model.iron.undo(rotate_back(rotation, field_ned))
-    if instance == 1 and vehicle.board.sensors.distortions:
-        raw = _distorted(vehicle, rotation, raw)
-    return raw @ vehicle.firmware.compasses.turned(instance).T
-
-
-def _distorted(vehicle: SimulatedAutopilot, rotation: FloatArray, raw: FloatArray) -> FloatArray:
-    """Pass readings through the vehicle's effects, each attitude held long enough for any lag to settle."""
-    field_ned = np.asarray(vehicle.world.field_ned_mgauss)
+    field_ned = np.tile(np.asarray(vehicle.world.field_ned_mgauss), (len(rotation), 1))
+    raw = vehicle.board.sensors.compasses[instance - 1].model.iron.undo(rotate_back(rotation, field_ned))
+    rotation = rotation.copy()
     around, n = vehicle.board.surroundings(), _SETTLING_SAMPLES
     start_s, step_s = vehicle.board.now_us * 1e-6, vehicle.board.tick_us * 1e-6
-    means = np.empty_like(raw)
+    if instance != 1 or not vehicle.board.sensors.distortions:
+        return raw, rotation, field_ned
     for row, (matrix, reading_mgauss) in enumerate(zip(rotation, raw, strict=True)):
         force = np.tile(matrix.T @ [0.0, 0.0, -STANDARD_GRAVITY_MPS2], (n, 1))
         stimulus = Stimulus(
             time_s=start_s + step_s * np.arange(1.0, n + 1.0),
             rotation=np.tile(matrix, (n, 1, 1)),
-            field_ned_mgauss=np.tile(field_ned, (n, 1)),
+            field_ned_mgauss=np.tile(field_ned[row], (n, 1)),
             rate_radps=np.zeros((n, 3)),
             specific_force_mps2=force,
             position_ned_m=np.tile(vehicle.truth.position_ned_m, (n, 1)),
@@ -84,10 +84,11 @@ def _distorted(vehicle: SimulatedAutopilot, rotation: FloatArray, raw: FloatArra
             temperature_degc=np.full(n, around.temperature_degc),
             motors=np.tile(around.motors, (n, 1)),
         )
-        reading = Reading(np.tile(reading_mgauss, (n, 1)), force, np.zeros((n, 3)))
+        signals = Signals(stimulus, Reading(np.tile(reading_mgauss, (n, 1)), force, np.zeros((n, 3))))
         rng = generator(vehicle.board.seed, f"judge {row}")
         # On copies: what an effect remembers of the journey so far must not change by being looked at.
         for distortion in copy.deepcopy(vehicle.board.sensors.distortions):
-            reading = distortion.apply(stimulus, reading, rng)
-        means[row] = reading.mag_mgauss[n // 2 :].mean(axis=0)
-    return means
+            signals = distortion.run(signals, rng)
+        raw[row] = signals.reading.mag_mgauss[n // 2 :].mean(axis=0)
+        rotation[row], field_ned[row] = (signals.stimulus.rotation[-1], signals.stimulus.field_ned_mgauss[-1])
+    return raw, rotation, field_ned

@@ -13,7 +13,7 @@ from mavcompass.frames import wrap_pi
 from mavcompass.procedure.motion import Permissions
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
-from mavcompass.simulation.physics.signals import Reading, Stimulus
+from mavcompass.simulation.physics.signals import Reading, Signals
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 
 
@@ -24,15 +24,17 @@ class SimulatorNoise:
     groups: frozenset[str] = field(default=frozenset({"mag", "acc", "gyro"}))
     shaking: bool = True
 
-    def apply(self, stimulus: Stimulus, reading: Reading, rng: np.random.Generator) -> Reading:
+    def run(self, signals: Signals, rng: np.random.Generator) -> Signals:
         if not self.shaking:
-            return reading
+            return signals
+        reading = signals.reading
         shape = reading.mag_mgauss.shape
-        return Reading(
+        shaken = Reading(
             reading.mag_mgauss + rng.normal(0.0, (28.0, 28.0, 42.0), shape),
             reading.acc_mps2 + rng.normal(0.0, (0.35, 1.2, 0.95), shape),
             reading.gyro_radps + rng.normal(0.0, (0.107, 0.05, 0.021), shape),
         )
+        return Signals(signals.stimulus, shaken)
 
 
 class Pilot(list[str]):

@@ -8,7 +8,7 @@ it; effects of the sensor change what it says. They are composed in the order of
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 from types import MappingProxyType
 from typing import Any, Literal
@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.errors import UsageError
-from mavcompass.frames import FloatArray, rotate, rotate_back
+from mavcompass.frames import FloatArray
 from mavcompass.simulation.physics.signals import Reading, Stimulus
+from mavcompass.simulation.physics.signals import Signals as Signals
 
 Memory = dict[str, Any]
 Kind = Literal["mean", "discrete", "random", "integrity"]
@@ -77,52 +78,6 @@ class Parameter:
     scale: float
     integer: bool = False
     optional: bool = False
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Signals:
-    """Hold what reaches the sensors and what they say of it, N samples."""
-
-    stimulus: Stimulus
-    reading: Reading
-
-    def with_mag(self, mag_mgauss: FloatArray) -> Signals:
-        """Replace what the magnetometer says."""
-        r = self.reading
-        return Signals(self.stimulus, Reading(mag_mgauss, r.acc_mps2, r.gyro_radps))
-
-    def with_acc(self, acc_mps2: FloatArray) -> Signals:
-        """Replace what the accelerometer says."""
-        r = self.reading
-        return Signals(self.stimulus, Reading(r.mag_mgauss, acc_mps2, r.gyro_radps))
-
-    def with_gyro(self, gyro_radps: FloatArray) -> Signals:
-        """Replace what the gyro says."""
-        r = self.reading
-        return Signals(self.stimulus, Reading(r.mag_mgauss, r.acc_mps2, gyro_radps))
-
-    def in_field(self, field_ned_mgauss: FloatArray) -> Signals:
-        """Put the vehicle into another world field, (N, 3)."""
-        s = self.stimulus
-        change = rotate_back(s.rotation, field_ned_mgauss - s.field_ned_mgauss)
-        moved = replace(s, field_ned_mgauss=field_ned_mgauss)
-        return Signals(moved, self.reading).with_mag(self.reading.mag_mgauss + change)
-
-    def turned(self, rotation: FloatArray, rate_radps: FloatArray) -> Signals:
-        """Give the vehicle another attitude (N, 3, 3) and rate (N, 3) under the same forces."""
-        s, r = self.stimulus, self.reading
-        force_ned = rotate(s.rotation, s.specific_force_mps2)
-        force = rotate_back(rotation, force_ned)
-        mag_change = rotate_back(rotation, s.field_ned_mgauss) - rotate_back(s.rotation, s.field_ned_mgauss)
-        moved = replace(s, rotation=rotation, rate_radps=rate_radps, specific_force_mps2=force)
-        return Signals(
-            moved,
-            Reading(
-                r.mag_mgauss + mag_change,
-                r.acc_mps2 + (force - s.specific_force_mps2),
-                r.gyro_radps + (rate_radps - s.rate_radps),
-            ),
-        )
 
 
 # None asks for the mean of what is random.

@@ -21,7 +21,7 @@ from mavcompass.correction import IDENTITY, FieldCorrection, Vector
 from mavcompass.frames import FloatArray
 from mavcompass.simulation.physics.motion import Body
 from mavcompass.simulation.physics.noise import NoiseTape, generator
-from mavcompass.simulation.physics.signals import Reading, Stimulus
+from mavcompass.simulation.physics.signals import Reading, Signals, Stimulus
 from mavcompass.units import MPS2_PER_MILLI_G, RAD_PER_DEG
 
 COMPASS_PERIOD_US = 100_000
@@ -46,8 +46,8 @@ class Distortion(Protocol):
         """Name the sensors that it changes: "mag", "acc", "gyro"."""
         ...
 
-    def apply(self, stimulus: Stimulus, reading: Reading, rng: np.random.Generator) -> Reading:
-        """Return the distorted reading of N samples, which follow those of the last call."""
+    def run(self, signals: Signals, rng: np.random.Generator) -> Signals:
+        """Return N samples distorted, which follow those of the last call."""
         ...
 
 
@@ -196,9 +196,10 @@ class SensorSuite:
         time_s, rotation, *others = (np.array(column) for column in zip(*moments, strict=True))
         stimulus = Stimulus(time_s, rotation.reshape(-1, 3, 3), *others)
         acc, gyro = np.array([i.acc_mps2 for i in imu]), np.array([i.gyro_radps for i in imu])
-        reading = Reading(np.array(raw), acc, gyro)
+        signals = Signals(stimulus, Reading(np.array(raw), acc, gyro))
         for distortion in self.distortions:
-            reading = distortion.apply(stimulus, reading, self._rng)
+            signals = distortion.run(signals, self._rng)
+        reading = signals.reading
         for i, value in enumerate(reading.mag_mgauss.sum(axis=0).tolist()):
             self._distorted_sum[i] += value
         if self._at_once:

@@ -6,9 +6,9 @@ replay of a recording passes all of it at once, so both use the same models.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from mavcompass.frames import FloatArray, rotate_back
+from mavcompass.frames import FloatArray, rotate, rotate_back
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,3 +76,49 @@ def ideal(stimulus: Stimulus) -> Reading:
     """Return what perfect sensors say."""
     field = rotate_back(stimulus.rotation, stimulus.field_ned_mgauss)
     return Reading(field, stimulus.specific_force_mps2, stimulus.rate_radps)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Signals:
+    """Hold what reaches the sensors and what they say of it, N samples."""
+
+    stimulus: Stimulus
+    reading: Reading
+
+    def with_mag(self, mag_mgauss: FloatArray) -> Signals:
+        """Replace what the magnetometer says."""
+        r = self.reading
+        return Signals(self.stimulus, Reading(mag_mgauss, r.acc_mps2, r.gyro_radps))
+
+    def with_acc(self, acc_mps2: FloatArray) -> Signals:
+        """Replace what the accelerometer says."""
+        r = self.reading
+        return Signals(self.stimulus, Reading(r.mag_mgauss, acc_mps2, r.gyro_radps))
+
+    def with_gyro(self, gyro_radps: FloatArray) -> Signals:
+        """Replace what the gyro says."""
+        r = self.reading
+        return Signals(self.stimulus, Reading(r.mag_mgauss, r.acc_mps2, gyro_radps))
+
+    def in_field(self, field_ned_mgauss: FloatArray) -> Signals:
+        """Put the vehicle into another world field, (N, 3)."""
+        s = self.stimulus
+        change = rotate_back(s.rotation, field_ned_mgauss - s.field_ned_mgauss)
+        moved = replace(s, field_ned_mgauss=field_ned_mgauss)
+        return Signals(moved, self.reading).with_mag(self.reading.mag_mgauss + change)
+
+    def turned(self, rotation: FloatArray, rate_radps: FloatArray) -> Signals:
+        """Give the vehicle another attitude (N, 3, 3) and rate (N, 3) under the same forces."""
+        s, r = self.stimulus, self.reading
+        force_ned = rotate(s.rotation, s.specific_force_mps2)
+        force = rotate_back(rotation, force_ned)
+        mag_change = rotate_back(rotation, s.field_ned_mgauss) - rotate_back(s.rotation, s.field_ned_mgauss)
+        moved = replace(s, rotation=rotation, rate_radps=rate_radps, specific_force_mps2=force)
+        return Signals(
+            moved,
+            Reading(
+                r.mag_mgauss + mag_change,
+                r.acc_mps2 + (force - s.specific_force_mps2),
+                r.gyro_radps + (rate_radps - s.rate_radps),
+            ),
+        )
