@@ -5,7 +5,7 @@ circle also B sin psi and C cos psi, as a compass adjuster writes them. A sound 
 of its own sigma, with a common mu of which nothing is known; one at fault has any deviation. A hypothesis
 is the set S of sound sources, and its weight, each deviation integrated over mu,
 
-    w(S) = prod_S (1 - p) l_i  prod_(not S) p / R  .  1/R int prod_S N(c_i; mu, sigma_i) dmu            (F1)
+    w(S) = prod_S (1 - p) l_i  prod_(not S) p / R  .  1/R int prod_S N(c_i; mu, sigma_i) dmu            (J1)
 
 with p the chance of its fault, R the room that a fault has, and l_i what the source shows by itself (its turn
 against the gyro, its dip and strength against the Earth's), as a likelihood ratio of sound to faulty.
@@ -132,7 +132,7 @@ class FaultIsolation:
 
 
 def isolate_faults(sources: Sequence[HeadingSource]) -> FaultIsolation:
-    """Weigh every set of sources that may be sound (F1). Returns nothing to blame for one source or none."""
+    """Weigh every set of sources that may be sound (J1). Returns nothing to blame for one source or none."""
     sources, count = tuple(sources), len(sources)
     if count < 2:
         sigma = np.array([s.sigma_rad for s in sources])
@@ -147,7 +147,7 @@ def isolate_faults(sources: Sequence[HeadingSource]) -> FaultIsolation:
             sound = i in subset
             log_weight += math.log(1.0 - source.fault) + source.log_ratio if sound else math.log(source.fault)
         weights.append(log_weight)
-        errors.append([_error2(source, None if i in subset else centre) for i, source in enumerate(sources)])
+        errors.append([_error2(source, centre, i in subset) for i, source in enumerate(sources)])
     share = np.exp(np.array(weights) - max(weights))
     share /= share.sum()
     member = np.array([[i in subset for i in range(count)] for subset in hypotheses], dtype=np.float64)
@@ -176,13 +176,11 @@ def _common(sources: Sequence[HeadingSource], subset: tuple[int, ...]) -> tuple[
     return centre, log_weight
 
 
-def _error2(source: HeadingSource, sound: FloatArray | None) -> float:
-    """Return the mean square error over the circle of a source, sound or off from those that are."""
-    if sound is None:
-        return source.sigma_rad**2
-    away = np.nan_to_num(np.asarray(source.deviation_rad) - sound)
-    constant = float(wrap_pi(away[0]))
-    return source.sigma_rad**2 + constant**2 + 0.5 * float(away[1:] @ away[1:])
+def _error2(source: HeadingSource, centre: FloatArray, sound: bool) -> float:
+    """Return the mean square error over the circle of a source, one of those about the centre or not (J2)."""
+    away = np.nan_to_num(np.asarray(source.deviation_rad) - centre)
+    apart2 = float(wrap_pi(away[0])) ** 2 + 0.5 * float(away[1:] @ away[1:])
+    return max(source.sigma_rad**2, apart2) if sound else source.sigma_rad**2 + apart2
 
 
 def named(names: Sequence[str]) -> str:
