@@ -1,13 +1,14 @@
 """Is a calibration judged alike through every door? Situations by doors, one test body, judged by the truth.
 
     python scripts/campaigns/doors.py [--only WORD]... [--free 20] [--json FILE]
+    python scripts/campaigns/doors.py --drawn 240 [--effects 3]    # instead: do the claimed sigmas cover?
 
 A situation (`door_situations.py`) is a simulated vehicle and what is right of it. Live, the vehicle turns
 itself, or a person turns it. What it said up to the first write is a .tlog: for the command, Python, the
 fleet, and as a .csv for the command again. From two minutes of being turned about a service learns. The
 table has a line for each situation and door: the verdict, the claimed sigma, the true heading error (rms over
-the circle, level), the greatest ratio of the two, the first reason or the remark that belongs to it, and what
-the door cannot carry. Contradictions are listed below it:
+the circle, level), the greatest ratio of the two, the share within 1 and 1.96 sigmas, the first reason or the
+remark that belongs to it, and what the door cannot carry. Contradictions are listed below it:
 
 - a verdict or a reason that is not the one of this situation, where the door carries the evidence for it,
 - an accepted result, or a compass called right, beyond four of the sigmas that it claims (that the mounting
@@ -33,7 +34,7 @@ from typing import Any
 
 from campaign import Several, ended, options
 from campaign import folder as new_folder
-from door_situations import OTHERS, PARAMETERS, UNSEEN, Situation, Wire, situations
+from door_situations import OTHERS, PARAMETERS, UNSEEN, Situation, Wire, drawn, situations
 
 from mavcompass import messages as mav
 from mavcompass.api import calibrate, read_track
@@ -259,16 +260,19 @@ def recorded(ask: Callable[..., Entry], path: Path, *options: str) -> tuple[Entr
 
 def lines(found: Sequence[Cell]) -> Iterator[str]:
     """Yield the table, a line for each family and door."""
-    titles = f"{'n':>3} {'verdict':12} {'claims deg':>11} {'off':>6} {'sigmas':>6}"
+    titles = f"{'n':>3} {'verdict':12} {'claims deg':>11} {'off':>6} {'sigmas':>6} {'covers %':>8}"
     yield f"{'situation':36} {'door':27} {titles}  said"
     for (family, door), group in groups(found):
         verdicts = ", ".join(dict.fromkeys(c.verdict for c in group))
         sigmas = [c.sigma_deg for c in group if not math.isnan(c.error_deg)]
         worst = max((c.error_deg for c in group if not math.isnan(c.error_deg)), default=math.nan)
-        ratio = max((c.error_deg / c.sigma_deg for c in group if c.error_deg >= 0.0), default=math.nan)
+        ratios = [c.error_deg / c.sigma_deg for c in group if c.error_deg >= 0.0]
+        covers = " ".join(
+            f"{100.0 * sum(r < most for r in ratios) / len(ratios):.0f}" for most in (1.0, 1.96) if ratios
+        )
         claims = f"{min(sigmas):.2f} - {max(sigmas):.2f}" if sigmas else ""
         told = f"cannot carry: {', '.join(group[0].lacks)}. " if group[0].lacks else ""
-        numbers = f"{worst:6.2f} {ratio:6.1f}" if sigmas else f"{'':13}"
+        numbers = f"{worst:6.2f} {max(ratios):6.1f} {covers:>8}" if sigmas else f"{'':22}"
         bad = " <<<" if any(c.wrong for c in group) else ""
         line = f"{family:36} {door:27} {len(group):3} {verdicts:12} {claims:>11} {numbers}"
         yield f"{line}  {told}{group[0].shown[:110]}{bad}"
@@ -299,8 +303,10 @@ def main() -> int:
         __doc__,
         only=(Several(), "situations with this in their name"),
         free=(20, "free mountings of each autopilot"),
+        drawn=(0, "so many vehicles drawn by chance"),
+        effects=(0, "up to so many effects of the catalogue on each of them"),
     )
-    every = list(situations(wanted.free))
+    every = list(drawn(wanted.drawn, wanted.effects) if wanted.drawn else situations(wanted.free))
     chosen = [s for s in every if not wanted.only or any(word in s.family for word in wanted.only)]
     found = tried(chosen)
     print("\n".join(lines(found)))
