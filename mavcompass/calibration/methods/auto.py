@@ -6,14 +6,11 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-
 from mavcompass.calibration.methods import ellipsoid, four_positions, world_field
 from mavcompass.calibration.motion.left_out import calm_since_s, last_stretch, since
 from mavcompass.calibration.motion.observed import Motion, motion_or_none, observe_motion
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult, surest
-from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
 from mavcompass.heading.deviation import heading_change_rad
 
@@ -103,21 +100,7 @@ def _chosen(results: list[CalibrationResult], motion: Motion | None = None) -> C
 
 
 def _apart_deg(one: CalibrationResult, other: CalibrationResult, motion: Motion | None) -> float:
-    """Return by how much two results' headings differ at the usual load, rms without their mean."""
-    change = heading_change_rad(
-        _at_usual_load(other.correction, motion),
-        _at_usual_load(one.correction, motion),
-        one.horizontal_mgauss,
-        one.vertical_mgauss,
-    )
-    return math.degrees(float(change.std()))
-
-
-def _at_usual_load(correction: FieldCorrection, motion: Motion | None) -> FieldCorrection:
-    """Take the motors' field at their mean load for iron: what was flown under load is not known without."""
-    if motion is None or motion.load_source == "none" or correction.motor_source != motion.load_source:
-        return correction
-    motors = np.linalg.solve(correction.matrix, np.asarray(correction.motor_mgauss))
-    offsets = np.asarray(correction.offsets_mgauss) + motors * motion.sections.load_mean
-    x, y, z = offsets.tolist()
-    return replace(correction, offsets_mgauss=(x, y, z), motor_source="none", motor_mgauss=(0.0, 0.0, 0.0))
+    """Return by how much two results' headings differ at the mean load, rms without their mean."""
+    load = 0.0 if motion is None else motion.sections.load_mean
+    field = (one.horizontal_mgauss, one.vertical_mgauss)
+    return math.degrees(float(heading_change_rad(other.correction, one.correction, *field, load=load).std()))

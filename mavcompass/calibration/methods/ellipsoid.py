@@ -81,20 +81,7 @@ def fit_sphere(raw_mgauss: ArrayLike) -> LengthFit:
     """
     raw = _usable(raw_mgauss, 4)
     centre, radius = _algebraic_sphere(raw)
-    covariance = np.full((3, 3), np.nan)
-    for _ in range(_ROUNDS):
-        away = raw - centre
-        distance = np.linalg.norm(away, axis=1)
-        residual = distance - radius
-        weights = _huber(residual)
-        jacobian = np.column_stack([-away / distance[:, np.newaxis], -np.ones(len(raw))])
-        step, covariance = _solve(jacobian, residual, weights)
-        centre = centre - step[:3]
-        radius -= float(step[3])
-        if np.abs(step).max() < 1e-9 * radius:
-            break
-    residual = np.linalg.norm(raw - centre, axis=1) - radius
-    return _length_fit(raw, centre, np.eye(3), radius, covariance[:3, :3], residual)
+    return _refined(raw, centre, np.eye(3) / radius, None, shape=False)
 
 
 def fit_ellipsoid(raw_mgauss: ArrayLike, length_mgauss: float | None = None) -> LengthFit:
@@ -105,17 +92,29 @@ def fit_ellipsoid(raw_mgauss: ArrayLike, length_mgauss: float | None = None) -> 
     Raises PoorCalibration where the readings do not determine an ellipsoid.
     """
     raw = _usable(raw_mgauss, 9)
-    centre, matrix = _algebraic_ellipsoid(raw)
+    return _refined(raw, *_algebraic_ellipsoid(raw), length_mgauss, shape=True)
+
+
+def _refined(
+    raw: FloatArray, centre: FloatArray, matrix: FloatArray, length_mgauss: float | None, shape: bool
+) -> LengthFit:
+    """Refine the solution of |M (r - c)| = 1 on the length; open is M, or else the length alone."""
     unit = float(np.trace(matrix)) / 3.0
     length = float(length_mgauss) if length_mgauss is not None else 1.0 / unit
     x = np.concatenate([centre, gain_parameters(matrix * length)])
-    covariance = np.full((9, 9), np.nan)
-    residual = np.zeros(len(raw))
+    size = np.array([*3 * [length], *(6 * [1.0] if shape else [length])])
+    covariance = np.full((size.size, size.size), np.nan)
     for _ in range(_ROUNDS):
         residual, jacobian = _length_jacobian(raw, x, length)
+        if not shape:
+            jacobian = np.column_stack([jacobian[:, :3], -np.ones(len(raw))])
         step, covariance = _solve(jacobian, residual, _huber(residual))
-        x = x - step
-        if np.abs(step / np.array([*3 * [length], *6 * [1.0]])).max() < 1e-10:
+        x[:3] -= step[:3]
+        if shape:
+            x[3:] -= step[3:]
+        else:
+            length -= float(step[3])
+        if np.abs(step / size).max() < 1e-10:
             break
     residual, _ = _length_jacobian(raw, x, length)
     matrix = gain_matrix(x[3:])
@@ -125,8 +124,16 @@ def fit_ellipsoid(raw_mgauss: ArrayLike, length_mgauss: float | None = None) -> 
         # The unknown length: let M's diagonal average 1.
         factor = 3.0 / float(np.trace(matrix))
         matrix, length, residual = matrix * factor, length * factor, residual * factor
-        covariance = covariance * np.outer([1, 1, 1, *6 * [factor]], [1, 1, 1, *6 * [factor]])
-    return _length_fit(raw, x[:3], matrix, length, covariance, residual)
+        covariance[3:] *= factor
+        covariance[:, 3:] *= factor
+    return LengthFit(
+        centre_mgauss=x[:3],
+        matrix=matrix,
+        length_mgauss=length,
+        covariance=covariance if shape else covariance[:3, :3],
+        residual_rms_mgauss=math.sqrt(float((residual**2).mean())),
+        coverage=sphere_coverage((raw - x[:3]) @ matrix),
+    )
 
 
 def _usable(raw_mgauss: ArrayLike, parameters: int) -> FloatArray:
@@ -206,24 +213,6 @@ def _solve(jacobian: FloatArray, residual: FloatArray, weights: FloatArray) -> t
     freedom = max(len(residual) - jacobian.shape[1], 1)
     variance = float((weights * residual**2).sum()) / freedom
     return inverse @ (weighted.T @ residual), inverse * variance
-
-
-def _length_fit(
-    raw: FloatArray,
-    centre: FloatArray,
-    matrix: FloatArray,
-    length: float,
-    covariance: FloatArray,
-    residual: FloatArray,
-) -> LengthFit:
-    return LengthFit(
-        centre_mgauss=centre,
-        matrix=matrix,
-        length_mgauss=length,
-        covariance=covariance,
-        residual_rms_mgauss=math.sqrt(float((residual**2).mean())),
-        coverage=sphere_coverage((raw - centre) @ matrix),
-    )
 
 
 def sphere_coverage(field_mgauss: FloatArray) -> float:
