@@ -45,7 +45,6 @@ def command(
     mavcompass replay flight.tlog --listen udpout:127.0.0.1:14550
     mavcompass replay 00000042.BIN --listen tcp:127.0.0.1:5760 --speed 4 --fault loss=0.1
     """
-    from mavcompass.logs import read_track
     from mavcompass.vehicle.links.faults import FaultyRecording
     from mavcompass.vehicle.links.server import VehicleServer
     from mavcompass.vehicle.replay import replayed_autopilot
@@ -54,7 +53,7 @@ def command(
     address = listening_address(where)
     require_for(log, address)
     on_link, on_vehicle = parse_faults(faults)
-    recorded = FaultyRecording(replayed_autopilot(log, read_track, on_vehicle), on_link, seed)
+    recorded = FaultyRecording(replayed_autopilot(log, on_vehicle), on_link, seed)
     served = serve(
         address,
         lambda port: VehicleServer(recorded, port, speed=speed, is_over=lambda: recorded.ended),

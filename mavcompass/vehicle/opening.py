@@ -20,9 +20,6 @@ from mavcompass.vehicle.transport import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from mavcompass.track import Track
     from mavcompass.vehicle.link import Identity, Link
     from mavcompass.vehicle.transport import Reconnect
     from mavcompass.vehicle.wire import Signing
@@ -43,7 +40,6 @@ def open_link(
     identity: Identity | None = None,
     signing: Signing | None = None,
     reconnect: Reconnect | None = None,
-    read_track: Callable[[Path], Track] | None = None,
     speed: float | None = None,
     by_hand: bool = False,
 ) -> Link:
@@ -51,8 +47,8 @@ def open_link(
 
     `identity` is who we are, by default the vehicle's onboard computer. `signing` and `reconnect` are for
     links on a wire; without `signing` the key is taken from the file that $MAVCOMPASS_SIGN_KEY names, if it
-    does. `read_track` (`mavcompass.logs.read_track`) is for playing recordings that are not .tlog. A
-    simulated vehicle's time has a `speed`, as fast as can be where it is None; `by_hand` a person turns it.
+    does. A simulated vehicle's time has a `speed`, as fast as can be where it is None; `by_hand` a person
+    turns it.
 
     Raises UsageError for a wrong address, NoVehicle where nothing listens, BadRecording for a bad file.
     """
@@ -70,7 +66,7 @@ def open_link(
         case Recording(path):
             from mavcompass.vehicle.replay import ReplayedLink
 
-            return ReplayedLink.playing(path, read_track, identity)
+            return ReplayedLink.playing(path, identity)
         case Mavsdk(url):
             from mavcompass.vehicle.links.wire import WireLink
             from mavcompass.vehicle.transport.mavsdk import MavsdkTransport

@@ -120,11 +120,10 @@ def _in_child(words: list[str], said: int) -> int:
 def _replayed(path: Path) -> int:
     """Do what `replay` does until its first hundred thousand messages are handed out."""
     from mavcompass.errors import MavCompassError
-    from mavcompass.logs import read_track
     from mavcompass.vehicle.replay import replayed_autopilot
 
     try:
-        played = replayed_autopilot(path, read_track)
+        played = replayed_autopilot(path)
         for _ in itertools.islice(_messages(played), 100_000):
             pass
     except MavCompassError as error:

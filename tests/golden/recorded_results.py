@@ -114,7 +114,7 @@ def _calibrated(track: Track) -> dict[str, Any]:
 
 def _replayed(path: Path) -> dict[str, Any]:
     try:
-        link = ReplayedLink.playing(path, read_track)
+        link = ReplayedLink.playing(path)
     except MavCompassError as error:
         return {"refused": type(error).__name__}
     heard: Counter[str] = Counter()

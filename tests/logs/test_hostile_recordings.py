@@ -55,7 +55,7 @@ def test_what_has_no_end_is_refused_by_every_door(
 ) -> None:
     path = tmp_path / f"a{suffix}"
     files.SPECIAL[kind](path)
-    for door in (read_track, lambda path: replayed_autopilot(path, read_track)):
+    for door in (read_track, replayed_autopilot):
         with pytest.raises(UsageError) as caught:
             door(path)
         assert caught.value.remedy

@@ -252,7 +252,8 @@ def no_answer() -> NoReply:
     """Say that a vehicle is there but told nothing about its compasses."""
     return NoReply(
         "The vehicle is alive but answered no question about its compass parameters.",
-        "Check that the link carries both ways and that the firmware has a compass.",
+        "Check that the link carries both ways and that the firmware has a compass; of a recording, that it"
+        " begins at power-up (.BIN), or that parameters were read in it (.tlog).",
     )
 
 

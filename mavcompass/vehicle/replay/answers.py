@@ -20,6 +20,10 @@ from mavcompass.messages import (
     ParamRequestRead,
     ParamSet,
     ParamValue,
+    RawImu,
+    ScaledImu,
+    ScaledImu2,
+    ScaledImu3,
     SystemTime,
     message_id,
 )
@@ -43,6 +47,7 @@ class Contents:
         system, component: the autopilot's address. stations: addresses of ground stations.
         parameters: the first value of each, as PARAM_VALUE. results: the first COMMAND_ACK of each command.
         counts: messages of the autopilot by id, for their rates; duration_s: of the whole.
+        readings_from_s: when a compass was first heard, 0 for never.
     """
 
     system: int = 1
@@ -52,6 +57,7 @@ class Contents:
     results: dict[int, int] = field(default_factory=dict)
     counts: dict[int, int] = field(default_factory=dict)
     duration_s: float = 0.0
+    readings_from_s: float = 0.0
 
     def interval_us(self, message_id: int) -> int:
         """Return the mean time between messages of an id, microseconds; 0 if there are none."""
@@ -70,6 +76,7 @@ def survey(path: Path) -> Contents:
     autopilots: set[tuple[int, int]] = set()
     heard = LinkStatistics()
     telling = {message_id(kind) for kind in (Heartbeat, ParamValue, CommandAck, Attitude, SystemTime)}
+    readings = {message_id(kind) for kind in (RawImu, ScaledImu, ScaledImu2, ScaledImu3)}
     clock = RecordingClock()
     for stamp_s, frame in tlog_frames(path):
         sender = (frame.system, frame.component)
@@ -78,6 +85,8 @@ def survey(path: Path) -> Contents:
         if (contents := vehicles.get(sender)) is None:
             contents = vehicles[sender] = Contents(*sender)
         contents.counts[frame.message_id] = contents.counts.get(frame.message_id, 0) + 1
+        if frame.message_id in readings:
+            contents.readings_from_s = contents.readings_from_s or clock.time_s
         if frame.message_id not in telling:
             continue
         match message := decode(frame.message_id, frame.payload):

@@ -7,12 +7,11 @@ recording says; parameters written to it are kept for the session, although noth
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from mavcompass.errors import LinkLost, UsageError
+from mavcompass.errors import LinkLost
 from mavcompass.messages import Heartbeat, Incoming, Message
-from mavcompass.track import Track
 from mavcompass.vehicle.link import ONBOARD_COMPUTER, Identity
 from mavcompass.vehicle.links.autopilot import Recorded, SaidMessage
 from mavcompass.vehicle.links.simulated import SimulatedLink
@@ -21,7 +20,8 @@ from mavcompass.vehicle.replay.answers import Answers, Contents, survey
 from mavcompass.vehicle.replay.tlog import RecordingClock, tlog_frames
 from mavcompass.vehicle.wire import decode
 
-ReadTrack = Callable[[Path], Track]
+# So long a first reading is waited for.
+_WAITED_FOR_S = 3.0
 
 
 class ReplayedAutopilot:
@@ -64,11 +64,9 @@ class ReplayedLink(SimulatedLink):
         self._recorded = recorded
 
     @classmethod
-    def playing(
-        cls, path: Path, read_track: ReadTrack | None = None, identity: Identity = ONBOARD_COMPUTER
-    ) -> ReplayedLink:
-        """Open a recording; see `replayed_autopilot`."""
-        return cls(replayed_autopilot(path, read_track), str(path), identity)
+    def playing(cls, path: Path, identity: Identity = ONBOARD_COMPUTER) -> ReplayedLink:
+        """Open a recording, at its first reading; see `replayed_autopilot`."""
+        return cls(replayed_autopilot(path, at_readings=True), str(path), identity)
 
     def receive(self, timeout_s: float) -> Incoming | None:
         """Return the next message; see Link."""
@@ -79,28 +77,34 @@ class ReplayedLink(SimulatedLink):
 
 
 def replayed_autopilot(
-    path: Path, read_track: ReadTrack | None = None, alterations: Alterations | None = None
+    path: Path, alterations: Alterations | None = None, at_readings: bool = False
 ) -> ReplayedAutopilot:
     """Make the vehicle of a recording: a .tlog frame by frame, any other by its Track.
 
+    Parameters that a .tlog lacks are told by the autopilot's own log beside it. `at_readings`: what was said
+    more than some seconds before the first reading of a compass is said at once, as a live vehicle would.
     Raises UsageError for a file that is not there, BadRecording where nothing can be played.
     """
+    from mavcompass.logs import read_track
+    from mavcompass.logs.formats.tlog.companion import logs_beside
+    from mavcompass.vehicle.replay.track_messages import track_contents, track_messages, track_parameters
+
     if path.suffix.lower() == ".tlog":
         contents = survey(path)
-        return ReplayedAutopilot(play_tlog(path, contents), contents, alterations)
-    if read_track is None:
-        raise UsageError(f"{path} is no telemetry log.", "Replay it with `mavcompass replay`.")
-    from mavcompass.vehicle.replay.track_messages import track_contents, track_messages
-
+        if logs_beside(path):
+            contents.parameters = track_parameters(read_track(path)) | contents.parameters
+        skipped_s = contents.readings_from_s - _WAITED_FOR_S if at_readings else 0.0
+        played = play_tlog(path, contents, max(skipped_s, 0.0))
+        return ReplayedAutopilot(played, contents, alterations)
     track = read_track(path)
     return ReplayedAutopilot(track_messages(track), track_contents(track), alterations)
 
 
-def play_tlog(path: Path, contents: Contents) -> Iterator[SaidMessage]:
-    """Hand out the frames of a .tlog with times from its start."""
+def play_tlog(path: Path, contents: Contents, from_s: float = 0.0) -> Iterator[SaidMessage]:
+    """Hand out the frames of a .tlog with times from so long after its start; earlier ones at 0."""
     clock = RecordingClock()
     for stamp_s, frame in tlog_frames(path):
-        time_s = clock.advance(stamp_s)
+        time_s = max(clock.advance(stamp_s) - from_s, 0.0)
         message = decode(frame.message_id, frame.payload)
         if (frame.system, frame.component) in contents.stations and not isinstance(message, Heartbeat):
             continue  # what a ground station asked then is not what it asks now

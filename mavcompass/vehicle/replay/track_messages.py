@@ -65,13 +65,8 @@ Build = Callable[[float, int], Message]
 
 def track_contents(track: Track) -> Contents:
     """Say what the vehicle of a Track can be asked."""
-    parameters = _first_parameters(track)
     start_s, end_s = _span(track)
-    contents = Contents(duration_s=end_s - start_s)
-    contents.parameters = {
-        name: _parameter_value(track, name, value, i, len(parameters))
-        for i, (name, value) in enumerate(sorted(parameters.items()))
-    }
+    contents = Contents(parameters=track_parameters(track), duration_s=end_s - start_s)
     for said in track_messages(track):
         assert said.message is not None
         number = message_id(type(said.message))
@@ -136,14 +131,15 @@ def _changes(track: Track, start_s: float) -> Iterator[SaidMessage]:
         yield _said(max(time_s, start_s), start_s, value)
 
 
-def _first_parameters(track: Track) -> dict[str, float]:
-    """Return the recording's parameters, each compass's correction as it was at the start."""
+def track_parameters(track: Track) -> dict[str, ParamValue]:
+    """Tell the recording's parameters, each compass's correction as it was at the start."""
     held = dict(track.parameters)
     for instance, compass in track.compasses.items():
         known = track.autopilot == "px4" and any(name.startswith("CAL_MAG") for name in held)
         if not known:
             held |= values(track.autopilot, track.parameters, instance, compass.in_force[0].correction)
-    return held
+    told = enumerate(sorted(held.items()))
+    return {name: _parameter_value(track, name, value, i, len(held)) for i, (name, value) in told}
 
 
 def _parameter_changes(track: Track) -> list[tuple[float, ParamValue]]:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +45,9 @@ from mavcompass.vehicle.link import Link
 from mavcompass.vehicle.links.faults import Faults, FaultyRecording
 from mavcompass.vehicle.opening import open_link
 from mavcompass.vehicle.replay import Alterations, ReplayedLink, replayed_autopilot
+from mavcompass.vehicle.replay.replayed import ReplayedAutopilot
 from mavcompass.vehicle.replay.tlog import LONGEST_PAUSE_S
+from mavcompass.vehicle.replay.track_messages import track_contents, track_messages
 from mavcompass.vehicle.transport import Tcp
 
 VEHICLE = Heartbeat(type=MavType.GROUND_ROVER, autopilot=MavAutopilot.ARDUPILOTMEGA)
@@ -91,6 +94,15 @@ def test_what_was_said_comes_again_at_its_time(tlog: Path) -> None:
     vehicles = [line for line in lines() if line[1] == 1 or isinstance(line[3], Heartbeat)]
     assert [(i.system, i.component, i.message) for i in heard] == [line[1:] for line in vehicles]
     assert [i.time_s for i in heard] == pytest.approx([line[0] for line in vehicles], abs=1e-5)
+
+
+def test_a_first_reading_is_not_waited_for_long(tmp_path: Path) -> None:
+    """A station that was connected long before the vehicle: what it said then is known from the start."""
+    late = ((40.0 * isinstance(line[3], RawImu) + line[0], *line[1:]) for line in lines())
+    path = write_tlog(tmp_path / "late.tlog", sorted(late, key=itemgetter(0)))
+    with open_link(str(path)) as link:
+        heard = [i for i in all_of(link) if isinstance(i.message, RawImu)]
+    assert (heard[0].time_s, heard[-1].time_s) == pytest.approx((3.0, 5.9), abs=0.01)
 
 
 def test_what_a_ground_station_asked_then_is_not_asked_again(tlog: Path) -> None:
@@ -287,10 +299,15 @@ def track_of(autopilot: str, **columns: object) -> Track:
     return Track(autopilot=autopilot, **(everything | columns))  # type: ignore[arg-type]
 
 
+def played(track: Track) -> ReplayedLink:
+    """Play a Track."""
+    return ReplayedLink(ReplayedAutopilot(track_messages(track), track_contents(track)), "a track")
+
+
 @pytest.fixture
-def play_track(tmp_path: Path) -> Callable[[Track], list[Incoming]]:
+def play_track() -> Callable[[Track], list[Incoming]]:
     def play(track: Track) -> list[Incoming]:
-        with open_link(str(tmp_path / "a.csv"), read_track=lambda _: track) as link:
+        with played(track) as link:
             return all_of(link)
 
     return play
@@ -329,8 +346,8 @@ def test_an_attitude_is_played_as_often_as_it_was_recorded_and_no_faster_than_te
     assert len(heard) == pytest.approx(4.0 * played_hz, abs=1)
 
 
-def test_the_rates_of_a_track_can_be_asked_for(tmp_path: Path) -> None:
-    with open_link(str(tmp_path / "a.csv"), read_track=lambda _: track_of("ardupilot")) as link:
+def test_the_rates_of_a_track_can_be_asked_for() -> None:
+    with played(track_of("ardupilot")) as link:
         for kind, interval_us in ((RawImu, 20_000), (Attitude, 40_000), (GlobalPositionInt, 200_000)):
             question = CommandLong(1, 1, MavCmd.GET_MESSAGE_INTERVAL, 0, float(message_id(kind)))
             answer = ask(link, question, MessageInterval)
@@ -346,20 +363,20 @@ def test_a_correction_that_changed_on_the_way_is_told(play_track: Callable[[Trac
     ]
 
 
-def test_the_parameters_let_a_client_undo_what_was_in_force(tmp_path: Path) -> None:
-    with open_link(str(tmp_path / "a.csv"), read_track=lambda _: track_of("unknown")) as link:
+def test_the_parameters_let_a_client_undo_what_was_in_force() -> None:
+    with played(track_of("unknown")) as link:
         answer = ask(link, ParamRequestRead(1, 1, "COMPASS_OFS_X"), ParamValue)
         assert isinstance(answer, ParamValue) and answer.param_value == -30.0
 
 
-def test_px4_tells_the_raw_field_in_the_sensors_axes_and_the_corrected_one_in_gauss(tmp_path: Path) -> None:
+def test_px4_tells_the_raw_field_in_the_sensors_axes_and_the_corrected_one_in_gauss() -> None:
     parameters = {"CAL_MAG0_XOFF": 0.05, "CAL_MAG0_ROT": 4.0, "CAL_MAG0_XSCALE": 1.0}  # turned by 180 deg yaw
     time_s = np.arange(0.0, 1.0, 0.1)
     raw_body = np.tile([100.0, 50.0, 400.0], (10, 1))
     track = track_of(
         "px4", parameters=parameters, compasses={1: MagSeries(1, Series.of(time_s, raw_body))}, place=None
     )
-    with open_link(str(tmp_path / "a.ulg"), read_track=lambda _: track) as link:
+    with played(track) as link:
         rotation = ask(link, ParamRequestRead(1, 1, "CAL_MAG0_ROT"), ParamValue)
         assert isinstance(rotation, ParamValue) and rotation.param_type == MavParamType.INT32
         assert np.float32(rotation.param_value).view(np.int32) == 4

@@ -30,7 +30,7 @@ def complete(track: Track, path: Path) -> Track:
     if track.autopilot != "ardupilot" or track.utc_offset_s is None:
         return track
     lacking = [instance for instance, compass in track.compasses.items() if not compass.correction_known]
-    for beside in _beside(path) if lacking else ():
+    for beside in logs_beside(path) if lacking else ():
         try:
             history, utc_offset_s = read_parameters(beside)
         except (MavCompassError, OSError):
@@ -40,7 +40,8 @@ def complete(track: Track, path: Path) -> Track:
     return track
 
 
-def _beside(path: Path) -> list[Path]:
+def logs_beside(path: Path) -> list[Path]:
+    """List the autopilot's logs of the same name."""
     return sorted(
         other
         for other in path.parent.iterdir()
