@@ -15,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.attitude import ON_THE_GROUND, down_in_body
+from mavcompass.calibration.model import gain_parameters
 from mavcompass.calibration.observation import centred, field_lag_s
 from mavcompass.calibration.result import CalibrationResult
+from mavcompass.calibration.rigid import DEFAULT_PRIOR
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray, circular_mean, wrap_pi
@@ -99,7 +101,7 @@ def gather(
     """
     moments = _moments(track, result, earth, windows)
     own = math.hypot(math.radians(result.repeatable_sigma_deg), _FLOOR_RAD)
-    sources = [HeadingSource(f"compass {result.instance}", (0.0, 0.0, 0.0), own)]
+    sources = [HeadingSource(f"compass {result.instance}", (0.0, 0.0, 0.0), own, _by_itself(result))]
     scatters = []
     for instance in sorted(set(track.compasses) - {result.instance}):
         other = others.get(instance)
@@ -115,7 +117,7 @@ def gather(
         if other is not None and known:
             sure = math.hypot(math.radians(other.repeatable_sigma_deg), _FLOOR_RAD, sigma)
             deviation = (a, b, c) if turns_alike else (math.nan, math.nan, math.nan)
-            sources.append(HeadingSource(f"compass {instance}", deviation, sure))
+            sources.append(HeadingSource(f"compass {instance}", deviation, sure, _by_itself(other)))
             scatters += [left] if turns_alike else []
         elif turns_alike:
             doubt = math.hypot(_IN_FORCE_RAD, sigma)
@@ -206,6 +208,20 @@ def _deviation(
         beyond2 = max(float(np.average(left2 - chance2, weights=weight)), 0.0) if shows else 0.0
     a, b, c, _ = found.tolist()
     return (float(wrap_pi(centre + a)), b, c), math.sqrt(float(covariance[0, 0])), math.sqrt(beyond2)
+
+
+def _by_itself(result: CalibrationResult) -> dict[str, float]:
+    """Return how far a calibration's gains are from those of compasses, in sigmas.
+
+    What is mounted turned sees other parts of the field; fitted as it is set, its gains are no compass's.
+    """
+    prior = DEFAULT_PRIOR
+    vertical = math.hypot(prior.gain_sigma, prior.vertical_gain_sigma)
+    sigma = np.array([prior.gain_sigma, prior.gain_sigma, vertical, *3 * [prior.cross_sigma]])
+    if result.heading_error is not None:
+        sigma = np.hypot(sigma, np.sqrt(np.diag(result.heading_error.covariance)[3:9]))
+    away = gain_parameters(result.correction.inverse) - prior.gains
+    return {"gains": float(np.abs(away / sigma).max())}
 
 
 def _elsewhere(moments: _Moments, instance: int) -> Iterator[HeadingSource]:

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from mavcompass.calibration.evidence import expected_field, heading_by
 from mavcompass.calibration.result import CalibrationResult, Mounting
+from mavcompass.calibration.rigid import DEFAULT_PRIOR
 from mavcompass.compass_parameters import mounting_values, sensor_to_body, values
 from mavcompass.compass_parameters.orientations import NUMBERED, angle_between, nearest
 from mavcompass.correction import IDENTITY
@@ -30,8 +31,8 @@ from mavcompass.track import Series, Track
 
 # A heading that is off by less is no matter of the mounting: boards are set by eye, irons bend as much.
 TURNED_RAD = math.radians(20.0)
-# Soft iron bends a measured rotation by up to this: nearer to a numbered orientation, it is that one.
-_NUMBERED_RAD = math.radians(12.0)
+# Soft iron bends a measured rotation by its cross terms: within two sigmas of a numbered one it is that one.
+_NUMBERED_RAD = 2.0 * DEFAULT_PRIOR.cross_sigma
 # A field that moves less than this in a second direction leaves the rotation open.
 _LEAST_SPREAD_MGAUSS = 20.0
 # A mirrored axis is said where it leaves less by this factor; what is believed leaves less of the field.

@@ -27,9 +27,10 @@ from mavcompass.frames import FloatArray, wrap_pi
 FAULT, _FAULT_ELSEWHERE = 0.02, 0.005
 # A fault has the whole circle for A, and 20 degrees each way for B and C: twice the iron that bends most.
 _ROOM_RAD = (2.0 * math.pi, math.radians(40.0), math.radians(40.0))
-# What a source shows by itself is this much wider where it is at fault. It may be the place that is at fault
+# What a source shows by itself is this much wider in one fault of two; in the other it does not show it: a
+# compass turned about the vertical sees dip and strength as it should. It may be the place that is at fault
 # instead, or the gyro, in one case of 150: more it cannot say against a source.
-_WIDER, _LEAST_LOG = 10.0, -5.0
+_WIDER, _SHOWS, _LEAST_LOG = 10.0, 0.5, -5.0
 # A source is blamed where it is rather at fault than sound, and another rather sound; where there is none,
 # one that is sound with less than this chance leaves it open which it is.
 RATHER_SOUND, _DOUBTED = 0.6, 0.9
@@ -67,8 +68,9 @@ class HeadingSource:
     def log_ratio(self) -> float:
         """Return the log likelihood ratio, sound to faulty, of what it shows by itself."""
         known = [z for z in self.by_itself.values() if not math.isnan(z)]
-        wider = math.log(_WIDER)
-        return max(sum(wider - 0.5 * z**2 * (1.0 - _WIDER**-2) for z in known), _LEAST_LOG)
+        shown = (0.5 * z**2 * (1.0 - _WIDER**-2) - math.log(_WIDER) for z in known)
+        hidden, seen = math.log(1.0 - _SHOWS), math.log(_SHOWS)
+        return max(-sum(float(np.logaddexp(hidden, seen + one)) for one in shown), _LEAST_LOG)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -89,6 +89,14 @@ def test_a_free_angle_is_told_to_half_a_degree() -> None:
     assert mended.accepted and mended.parameters["CAL_MAG0_YAW"] == pytest.approx(33.0, abs=0.5)
 
 
+@pytest.mark.parametrize("number", [8, 12, 16, 24])
+def test_of_two_the_one_whose_gains_are_no_compass_s_is_turned(number: int) -> None:
+    """Upside down or on its side a compass shows by itself that it is, and one more tells how."""
+    found = calibrate_compasses(recorded(sensor_orientation_matrix(number).T, None), earth=FIELD)
+    assert [found[i].accepted for i in (1, 2)] == [False, True]
+    assert found[1].mounting.setting == {"COMPASS_ORIENT": float(number)}
+
+
 def test_two_that_contradict_each_other_are_both_refused() -> None:
     found = calibrate_compasses(recorded(sensor_orientation_matrix(2), None), earth=FIELD)
     for result in found.values():
