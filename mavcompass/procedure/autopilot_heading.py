@@ -60,6 +60,7 @@ _LANDING_PATIENCE_S, _LOADS_WITHIN_S = 60.0, 3.0
 # What was done so often and has not brought it right will not.
 _TIMES = 4
 _BELIEVING = "believing its compass for some seconds"
+_GIVEN_BACK = "The autopilot's estimator gets its own settings back; the calibration is not touched."
 
 
 def yaw_error_rad(
@@ -115,7 +116,6 @@ class OwnHeading:
     _bent_deg: float = 0.0
     _has_a_way: bool = True
     _follows: bool = False
-    _bias_is_bent: bool = False
     _turned: FloatArray | None = None
     _not_before_s: float = -math.inf
 
@@ -145,29 +145,23 @@ class OwnHeading:
         self.samples.clear()
 
     def expect(self) -> Script[None]:
-        """Have a flying estimator follow its compass promptly from the write on, where that is worth it."""
-        values = self._prompt_values()
-        if self._bent_deg > _WORTH_DEG and values and self.flying:
+        """Have an estimator follow its compass promptly from the write on; one that flies, where worth it."""
+        values = {} if self.desk.dialect.loads_disarmed else self._prompt_values()
+        if values and (self._bent_deg > _WORTH_DEG or not self.flying):
             self._follows = yield from self.overrides.hold(self._context, values)
 
     def written(self, values: Mapping[str, float]) -> Script[None]:
         """Have the autopilot take the new heading over; `values` are the parameters that were written."""
         self._written_s, self._values, self._turned = self._context.now, values, None
         self.not_loaded = self.desk.dialect.loads_disarmed and self.desk.state.armed
+        yield from self._put_right()
+
+    def give_back(self) -> Script[None]:
+        """Give the estimator its settings back, once what the old compass bent of its gyro is unlearned."""
         if self._follows:
-            off_deg, self._follows = abs(self.error_deg), False
-            self._context.show(
-                "heading", f"The autopilot is {off_deg:.1f} deg off and turns to the new heading."
-            )
-            yield from self._until_it_follows()
-            yield from self._release()
-            self.by.append(_BELIEVING)
-            self.samples.clear()
-        elif self.desk.dialect.loads_disarmed:
-            yield from self._put_right(self.error_deg)
-        else:  # right for the proof; the bias of its gyro is seen to once nothing turns any more
-            yield from self._switch()
-            self._bias_is_bent = not self.flying
+            yield from pause(self._context, self._written_s + _BIAS_ALONE_S - self._context.now)
+            yield from self.overrides.release(self._context, _GIVEN_BACK)
+            self._follows = False
 
     def _until_it_follows(self) -> Script[None]:
         """Wait until an estimator has followed its compass, all of a sample long."""
@@ -189,13 +183,10 @@ class OwnHeading:
             if self.not_loaded and not (yield from self._load()):
                 self._look()
                 return
-            if self._bias_is_bent:
-                self._bias_is_bent = False
-                yield from self._put_right(self.error_deg)
             began_s = self._context.now
             while self._context.now - began_s < self._patience_s() and math.isfinite(self.before_deg):
                 self._look()
-                if self._may_help() and (yield from self._put_right(self.error_deg)):
+                if self._may_help() and (yield from self._put_right()):
                     began_s = self._context.now
                     continue
                 if self.worst_deg <= _GOOD_DEG or (self.set_aside and math.isfinite(self.worst_deg)):
@@ -231,7 +222,7 @@ class OwnHeading:
         """Begin anew after a restart of the autopilot."""
         self.by, self._latest_deg = ["a restart"], math.nan
         self.samples.clear()
-        self._has_a_way, self._not_before_s, self._bias_is_bent = True, -math.inf, False
+        self._has_a_way, self._not_before_s = True, -math.inf
 
     def outcome(self) -> AutopilotHeading:
         """Return what came of it."""
@@ -356,14 +347,11 @@ class OwnHeading:
         if state.armed:
             return False
         yield from pause(context, _LOADS_WITHIN_S)
-        self.not_loaded = not (yield from self._put_right(self.error_deg))
+        self.not_loaded = not (yield from self._put_right())
         return not self.not_loaded
 
     def _prompt_values(self) -> Mapping[str, float]:
         return self.desk.dialect.prompt_estimator(self.desk.parameters, self.flying)
-
-    def _release(self) -> Script[None]:
-        yield from self.overrides.release(self._context, "The autopilot's estimator gets its settings back.")
 
     def _may_help(self) -> bool:
         """Tell whether taking the compass's yaw over leaves less error: not while it swings, nor without one.
@@ -377,39 +365,42 @@ class OwnHeading:
         may = self._has_a_way and not self.flying and not self.set_aside
         return may and error_deg > _STILL_WORTH_DEG and (unlearned or settled)
 
-    def _put_right(self, error_deg: float) -> Script[bool]:
+    def _put_right(self) -> Script[bool]:
         """Have the autopilot take its compass's yaw over, and say so; False where it knows no way."""
-        if how := (yield from self._take_over()):
-            text = f"The autopilot was {abs(error_deg):.1f} deg off; it now uses the new heading."
+        desk, how, off_deg = self.desk, "", abs(self.error_deg)
+        loads = desk.dialect.loads_disarmed
+        if self._follows:
+            how = yield from self._follow()
+        elif not (self.flying or (loads and (desk.state.armed or not self._values))):
+            believing = self._believing(loads)
+            how = yield from self.overrides.put_back_after(self._context, believing, _GIVEN_BACK)
+        self._has_a_way = bool(how) and self.by.count(how) < _TIMES
+        if how:
+            text = f"The autopilot was {off_deg:.1f} deg off; it now uses the new heading."
             self._context.show("heading", text)
             self.by.append(how)
             self.samples.clear()
-            self._not_before_s = self.desk.rest.time_s + _LAG_S + self._sample_s
+            self._not_before_s = desk.rest.time_s + _LAG_S + self._sample_s
         return bool(how)
 
-    def _take_over(self) -> Script[str]:
-        """Have an estimator that does not fly believe its compass while it takes its yaw over; return how."""
-        desk, how, believes = self.desk, "", False
-        loads = desk.dialect.loads_disarmed
-        if self.flying or (loads and (desk.state.armed or not self._values)):
-            self._has_a_way = False
-            return how
-        try:
-            if values := self._prompt_values():
-                believes = yield from self.overrides.hold(self._context, values)
-            if loads:
-                yield from pause(self._context, _TAKES_S if believes else 0.0)
-                how = yield from desk.dialect.load_written(self._context, self._values)
-                yield from pause(self._context, _TAKES_S)
-            else:
-                how = yield from self._switch()
-                if believes:
-                    yield from pause(self._context, _BIAS_ALONE_S) if how else self._until_it_follows()
-                    how = f"{how}, {_BELIEVING}" if how else _BELIEVING
-        finally:
-            yield from self._release()
-        self._has_a_way = bool(how) and self.by.count(how) < _TIMES
+    def _believing(self, loads: bool) -> Script[str]:
+        values, context, began_s = self._prompt_values(), self._context, self._context.now
+        believes = bool(values) and (yield from self.overrides.hold(context, values))
+        if loads:
+            yield from pause(context, _TAKES_S if believes else 0.0)
+            how = yield from self.desk.dialect.load_written(context, self._values)
+            yield from pause(context, _TAKES_S)
+        else:
+            how = yield from self._follow() if believes else self._switch()
+            yield from pause(context, began_s + _BIAS_ALONE_S - context.now if believes else 0.0)
         return how
+
+    def _follow(self) -> Script[str]:
+        """Have an estimator that believes its compass take its yaw over; return how."""
+        how = yield from self._switch()
+        if not how:
+            yield from self._until_it_follows()
+        return f"{how}, {_BELIEVING}" if how else _BELIEVING
 
     def _switch(self) -> Script[str]:
         desk = self.desk

@@ -138,7 +138,8 @@ class _Calibration:
                     (yield from self.overrides.put_back_left(context, self.services.cut_short))
                 )
             yield from rates.ask(context, self.wanted_rates())
-            report = yield from self.calibrate()
+            why = "What was set for the calibration alone is put back."
+            report = yield from self.overrides.put_back_after(context, self.calibrate(), why)
             if report.written:
                 report = yield from self.steer_by_it(report, rates)
             elif report.accepted and not report.to_write:
@@ -179,12 +180,7 @@ class _Calibration:
             finished = True
             return report
         finally:
-            hurry = not finished
-            try:
-                yield from _whatever_comes(lambda hurried: mobility.end(desk.context, hurry or hurried))
-            finally:
-                why = "What was set for the calibration alone is put back."
-                yield from _whatever_comes(lambda _: self.overrides.release(desk.context, why))
+            yield from _whatever_comes(lambda hurried: mobility.end(desk.context, hurried or not finished))
 
     def by_itself(self) -> Script[None]:
         """Have the autopilot calibrate by its own method; what it has stored by itself is put back."""
@@ -383,6 +379,7 @@ class _Calibration:
         )
         if proof.passed:
             context.show("prove", proof.summary(), _PROVEN)
+            yield from _whatever_comes(lambda _: self.own.give_back())
             return report
         yield from writer.take_back(report, proof.summary())
         return replace(report, undone=True).noting(f"{proof.summary()} The old values were put back.")

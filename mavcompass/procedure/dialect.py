@@ -11,10 +11,11 @@ from typing import Literal
 
 from mavcompass.calibration.result import OwnFinding
 from mavcompass.correction import IDENTITY, FieldCorrection
+from mavcompass.errors import MavCompassError, WriteFailed
 from mavcompass.frames import FloatArray
 from mavcompass.messages import telemetry
 from mavcompass.procedure.nameplate import Nameplate
-from mavcompass.procedure.script import Context, Script, nothing
+from mavcompass.procedure.script import Context, Script, T, nothing
 from mavcompass.steering import compasses_of
 from mavcompass.track_builder import TrackBuilder
 
@@ -248,11 +249,28 @@ class Overrides:
             done()
         return back
 
+    def put_back_after(self, context: Context, work: Script[T], why: str) -> Script[T]:
+        """Do some work, then put back all that is held, however it ends; its own error goes first.
+
+        What could not be put back stands beside its remedy; the record of a WriteFailed holds that already.
+        Raises WriteFailed where the putting back alone fails.
+        """
+        try:
+            done = yield from work
+        except Exception as error:
+            try:
+                yield from self.release(context, why)
+            except MavCompassError as left:
+                if isinstance(error, MavCompassError) and not isinstance(error, WriteFailed):
+                    error.remedy = f"{error.remedy} {left.remedy}".strip()
+            raise
+        yield from self.release(context, why)
+        return done
+
     def release(self, context: Context, why: str) -> Script[None]:
         """Put back all that is held, the last first. Raises WriteFailed where that fails."""
         while self._held:
-            yield from self._held[-1][1].take_back(context, why)
-            self._held.pop()
+            yield from self._held.pop()[1].take_back(context, why)
 
 
 def describe_compasses(builder: TrackBuilder, dialect: Dialect, parameters: Mapping[str, float]) -> None:

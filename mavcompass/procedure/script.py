@@ -103,6 +103,7 @@ class Context:
         watches: called after each event with the time; a sentence stops the procedure.
         alone: the vehicle was taken because no other was heard; one that appears later is to be told.
         hold: keeps other programs off a vehicle until the procedure ends; its driver knows how.
+        left: what could not be put back, told where the script is abandoned before it ends.
         silent_until_s: until then a silent vehicle is not a lost one: it restarts because we asked it to.
     """
 
@@ -114,6 +115,7 @@ class Context:
     outbox: list[Action] = field(default_factory=list)
     alone: bool = False
     hold: Callable[[Any], None] = lambda _: None
+    left: MavCompassError | None = None
     silent_until_s: float = -math.inf
 
     def send(self, message: Message) -> None:
@@ -189,14 +191,12 @@ class Machine(Generic[T]):
     def abandon(self) -> list[Action]:
         """End a stopped script that cannot clean up in time; it may say what it leaves behind."""
         why = "It was left." if self._stopped is None else self._stopped[1]
-        try:
-            with suppress(RuntimeError):  # it was still waiting in a `finally`
-                self._script.close()
-        except MavCompassError as what_is_left:
-            self._finish(None, what_is_left)
+        with suppress(RuntimeError, MavCompassError):  # it was still waiting in a `finally`
+            self._script.close()
         self._finish(
             None,
-            Refused(
+            self.context.left
+            or Refused(
                 f"{getattr(why, 'what', why)} What was changed could not all be put back.",
                 "Look at the vehicle before you go near it.",
             ),

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import ModuleType
 
 import pytest
-from bent_vehicles import calibrated
+from bent_vehicles import calibrated, perform
 
 from mavcompass.enums import MavCmd
-from mavcompass.errors import Refused, WriteFailed
+from mavcompass.errors import PoorCalibration, Refused, WriteFailed
 from mavcompass.messages import CommandLong, Message
+from mavcompass.procedure.dialect import Overrides
+from mavcompass.procedure.script import Context, Script, nothing
+from mavcompass.procedure.vehicle_state import VehicleState
 from mavcompass.simulation.autopilot.board import Outgoing
 from mavcompass.simulation.vehicle import SimulatedAutopilot
+from mavcompass.vehicle.dialects import make_dialect
+from mavcompass.vehicle.parameters.undo import load_record, undo_saver
 from mavcompass.vehicle.stopping import StopRequest
 
 EVENTS = ("stick", "mode", "disarm", "battery", "signal", "silence", "broken", "two-seconds")
@@ -46,6 +52,23 @@ def test_the_other_vehicles_stop_commanding_and_are_put_back_too(
     # Water carries a turn on for longer than a second: there the commands are judged alone.
     assert set(outcome.wrong) <= {"turned more than 1 s after"}, (outcome.at_s, outcome.told)
     assert outcome.command_s <= 1.0
+
+
+class DeadAfterTheWrite(SimulatedAutopilot):
+    """Hear and say nothing any more from a second after its calibration was changed."""
+
+    was: dict[str, float]
+    changed_s = math.inf
+
+    def receive(self, message: Message, system: int, component: int, port: int = 0) -> None:
+        if self.time_s < self.changed_s + 1.0:
+            super().receive(message, system, component, port)
+
+    def advance(self, until_s: float) -> Sequence[Outgoing]:
+        said = super().advance(until_s)
+        if compass_values(self) != self.was:
+            self.changed_s = min(self.changed_s, self.time_s)
+        return said if self.time_s < self.changed_s + 1.0 else []
 
 
 class StoppedAtTheTakeOver(SimulatedAutopilot):
@@ -93,6 +116,44 @@ def test_a_link_that_dies_between_the_write_and_the_proof_is_told_with_the_way_b
     with pytest.raises(WriteFailed) as told:
         calibrated(vehicle, tmp_path, stop=vehicle.stop)
     assert told.value.undo_file and "params restore" in (told.value.restore_command or "")
+
+
+@pytest.mark.parametrize("kind", ["rover", "copter"])
+def test_one_undo_file_leads_back_from_the_calibration_and_from_what_was_set_for_it(
+    kind: str, tmp_path: Path
+) -> None:
+    vehicle = DeadAfterTheWrite(kind, seed=1001)
+    vehicle.was, before, shown = compass_values(vehicle), dict(vehicle.firmware.store.values), list[str]()
+    with pytest.raises(WriteFailed) as told:
+        calibrated(vehicle, tmp_path, shown=shown)
+    held = vehicle.firmware.store.values
+    changed = {name: value for name, value in before.items() if held[name] != value and name[:4] != "STAT"}
+    assert "EK3_GBIAS_P_NSE" in changed and "COMPASS_OFS_X" in changed
+    assert told.value.undo_file is not None
+    back = load_record(told.value.undo_file).before
+    assert {name: back[name] for name in changed} == pytest.approx(changed, abs=1e-4)
+    # Each is said where it fails, too: the last that is seen of a link that died.
+    assert sum("params restore" in text and "could not be undone" in text for text in shown) == 2
+
+
+def test_what_was_set_for_a_while_and_stays_is_told_beside_what_ended_it(tmp_path: Path) -> None:
+    vehicle = DeadAfterTheWrite("rover", seed=1001)
+    vehicle.was = compass_values(vehicle)
+
+    def ended() -> Script[None]:
+        vehicle.changed_s = -math.inf  # dead from now on
+        yield from nothing(None)
+        raise PoorCalibration("Too little was seen.", "Turn it further.")
+
+    def script(context: Context, _: VehicleState) -> Script[None]:
+        overrides = Overrides(make_dialect("ardupilot", "sim:test"), undo_saver("sim:test", tmp_path))
+        yield from overrides.hold(context, {"EK3_GBIAS_P_NSE": 0.1})
+        yield from overrides.put_back_after(context, ended(), "It ends.")
+
+    with pytest.raises(PoorCalibration, match="Too little was seen") as told:
+        perform(vehicle, script)
+    assert told.value.remedy.startswith("Turn it further. Bring the link back, then put the old values back")
+    assert str(next(tmp_path.glob("*.json"))) in told.value.remedy
 
 
 def test_each_event_is_named_to_the_person(campaign: ModuleType) -> None:

@@ -7,7 +7,7 @@ compass alone, which is the one to be calibrated, that check is set aside until 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -123,13 +123,11 @@ class Readiness:
         context.show("ready", "Arming.")
         said = yield from self._ask_to_arm(context)
         if not self.state.armed:
-            exemption = yield from self._exemption(context, said)
-            if exemption and self.overrides is not None:
-                try:
-                    yield from self.overrides.hold(context, exemption)
-                    yield from self._ask_to_arm(context)
-                finally:
-                    yield from self.overrides.release(context, "The arming check is asked again.")
+            own = self.overrides
+            if own is not None and (exemption := (yield from self._exemption(context, own, said))):
+                yield from own.hold(context, exemption)
+                arming, why = self._ask_to_arm(context), "The arming check is asked again."
+                yield from own.put_back_after(context, arming, why)
             if not self.state.armed:
                 raise Refused(
                     f"The vehicle refused to arm.{self._last_words()}",
@@ -155,11 +153,11 @@ class Readiness:
             self._armed_by_us = self.state.armed
         return tuple(said)
 
-    def _exemption(self, context: Context, said: tuple[str, ...]) -> Script[Mapping[str, float]]:
+    def _exemption(
+        self, context: Context, own: Overrides, said: Sequence[str]
+    ) -> Script[Mapping[str, float]]:
         """Return what sets the compass's arming check aside, where that alone refuses and a person agrees."""
-        if self.overrides is None:
-            return {}
-        values = yield from self.overrides.dialect.arming_exemption(context, said)
+        values = yield from own.dialect.arming_exemption(context, said)
         if not values:
             return {}
         what = "It refuses to arm for nothing but the compass, which is the one to be calibrated"

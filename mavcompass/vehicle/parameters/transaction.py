@@ -151,19 +151,21 @@ class WayBack:
                 left = self.left(context, f"{_sentence(why)} Then: {trouble.what}")
                 context.show("undo", str(left))  # whatever becomes of the error on its way out
                 raise left from trouble
-            context.show("undo", "The old parameters are back.")
+            context.show("undo", f"{counted(len(self.old), 'parameter')} read back as before.")
             return stopped
 
     def left(self, context: Context, why: str) -> WriteFailed:
-        """Say that it could not be gone, and the command that does it."""
+        """Say that it could not be gone, and the command that does it; the first is the worst."""
         command = restore_command(self.source, self.undo_file, context.system)
-        return WriteFailed(
+        left = WriteFailed(
             f"Writing was cut short and could not be undone ({why.rstrip('.')}): the vehicle may hold some"
             " new and some old values.",
             f"Bring the link back, then put the old values back with: {command}",
             self.undo_file,
             command,
         )
+        context.left = context.left or left
+        return left
 
 
 def refuse_unwritable(plan: ParameterPlan) -> None:
