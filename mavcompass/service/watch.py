@@ -11,7 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+import numpy as np
+
 from mavcompass.earth_field import EarthField
+from mavcompass.frames import FloatArray
 from mavcompass.heading.fault_isolation import HeadingSource, isolate_faults
 from mavcompass.heading.live import Heading
 from mavcompass.service.config import WatchConfig
@@ -24,6 +27,9 @@ _RAISE_S = 5.0
 _CLEAR_S = 10.0
 _CLEAR_BELOW = 0.7
 _BAD_ABOVE = 2.5  # times the limit
+# Turns of 3 degrees tell nothing of iron: a gyro drifts by as much in a minute.
+_NO_TURN = (3.0 * _DEG) ** 2 * np.eye(2)
+_TURN_RAD, _SPREAD_A = 2.0 * math.pi, 0.7
 COURSE_SPEED_MPS = 1.5  # slower, the receiver's noise turns its course
 _AHEAD_KINDS = frozenset({"rover", "boat", "sub"})
 
@@ -120,7 +126,7 @@ class _GyroComparison:
     goes with the rate is how late a reading is (0 to 0.25 s, by firmware and stream), and no iron either.
     """
 
-    means: tuple[_Average, _Average] = field(default_factory=lambda: (_a_turn(), _a_turn()))
+    means: tuple[_Average, ...] = field(default_factory=lambda: tuple(_Average(_TURN_RAD) for _ in range(2)))
     products: tuple[_Average, ...] = field(default_factory=lambda: tuple(_Average(math.pi) for _ in range(3)))
     _last: tuple[float, float] | None = None
     _difference_rad: float = 0.0
@@ -152,38 +158,31 @@ class _GyroComparison:
         return math.sqrt(max(square - late, 0.0)) if self.known else 0.0
 
 
-def _a_turn() -> _Average:
-    return _Average(2.0 * math.pi)
-
-
 @dataclass(slots=True)
 class _CurrentCoupling:
-    """Find how the field's level and vertical parts, which no turn changes, go with the current."""
+    """Find how the field, level and vertical, goes with the current, beside how it goes with turns (iron)."""
 
     span_s: float = 60.0
     _weight: float = 0.0
-    _means: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
-    _products: list[float] = field(default_factory=lambda: [0.0] * 5)  # ii, ih, iz, hh, zz
+    _mean: FloatArray = field(default_factory=lambda: np.zeros(5))
+    _products: FloatArray = field(default_factory=lambda: np.zeros((5, 5)))
 
-    def add(self, current_a: float, horizontal: float, vertical: float, step_s: float) -> None:
+    def add(self, current_a: float, heading: Heading, step_s: float) -> None:
         self._weight, gain = _forgetting(self._weight, step_s, self.span_s)
-        values = (current_a, horizontal, vertical)
-        before = [v - m for v, m in zip(values, self._means, strict=True)]
-        self._means = [m + gain * b for m, b in zip(self._means, before, strict=True)]
-        after = [v - m for v, m in zip(values, self._means, strict=True)]
-        pairs = ((0, 0), (0, 1), (0, 2), (1, 1), (2, 2))
-        for n, (i, j) in enumerate(pairs):
-            self._products[n] += gain * (before[i] * after[j] - self._products[n])
+        turned_rad, level = heading.turned_rad, (heading.horizontal_mgauss, heading.level_mgauss[2])
+        values = np.array([math.cos(turned_rad), math.sin(turned_rad), current_a, *level])
+        before = values - self._mean
+        self._mean = self._mean + gain * before
+        self._products += gain * (np.outer(before, values - self._mean) - self._products)
 
     def swing_mgauss(self) -> float:
         """Return how far the field goes with the current, 0 where they are not seen to go together."""
-        ii, ih, iz, hh, zz = self._products
-        spread_a = math.sqrt(max(ii, 0.0))
-        if self._weight < 0.3 or spread_a < 0.7:
+        turns, both, rest = self._products[:2, :2], self._products[2:, :2], self._products[2:, 2:]
+        (ii, ih, iz), (_, hh, _), (_, _, zz) = rest - both @ np.linalg.solve(turns + _NO_TURN, both.T)
+        if self._weight < 0.3 or ii < _SPREAD_A**2 or ih * ih + iz * iz < 0.4 * ii * (hh + zz):
             return 0.0
-        explained = (ih * ih + iz * iz) / (ii * max(hh + zz, 1e-9))
         # Two standard deviations either side cover the range of the current.
-        return 4.0 * math.hypot(ih, iz) / ii * spread_a if explained > 0.4 else 0.0
+        return float(4.0 * math.hypot(ih, iz) / ii * math.sqrt(self._products[2, 2]))
 
 
 @dataclass(slots=True)
@@ -257,7 +256,7 @@ class CompassWatch:
             if abs(off) < 135.0:  # otherwise it drives backwards
                 record.course.add(off, step_s)
         if glance.current_a is not None:
-            record.current.add(glance.current_a, heading.horizontal_mgauss, heading.level_mgauss[2], step_s)
+            record.current.add(glance.current_a, heading, step_s)
 
     def _at_fault(self, instances: list[int]) -> dict[int, tuple[float, str]]:
         """Tell which compasses stand apart, degrees, and why; where nothing tells which, the last one."""

@@ -200,6 +200,19 @@ def test_a_field_that_goes_with_the_current_is_found(
     assert found(see, 90.0) - {"dip1", "field1"} == expected
 
 
+@pytest.mark.parametrize(("mgauss_per_a", "told"), [(0.0, False), (2.5, True)])
+def test_iron_is_not_told_for_a_current_that_goes_with_the_way(mgauss_per_a: float, told: bool) -> None:
+    def see(t: float) -> Glance:
+        turned = 2.0 * math.sin(0.15 * t)
+        current = 15.0 + 8.0 * math.sin(turned) + 4.0 * math.sin(0.8 * t)  # against the wind it takes more
+        h = heading(t, turned, turned_rad=turned)
+        ahead, right, down = h.level_mgauss
+        bent = replace(h, level_mgauss=(ahead + 60.0, right - 80.0, down + mgauss_per_a * (current - 15.0)))
+        return replace(glance(t, bent), current_a=current)
+
+    assert ("current1" in found(see, 90.0)) is told
+
+
 def test_a_short_disturbance_is_not_a_finding_and_a_finding_goes_when_its_cause_goes() -> None:
     watch = CompassWatch(WatchConfig())
 
