@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import copy
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate, rotate_back, wrap_pi
 from mavcompass.simulation.physics.noise import generator
-from mavcompass.simulation.physics.signals import Reading, Signals, Stimulus
+from mavcompass.simulation.physics.signals import Signals, Stimulus, ideal
 from mavcompass.simulation.vehicle import SimulatedAutopilot
-from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 # Samples for which an attitude is held when it is judged; the second half is averaged.
 _SETTLING_SAMPLES = 100
@@ -70,21 +70,18 @@ def _held(
     if instance != 1 or not vehicle.board.sensors.distortions:
         return raw, rotation, field_ned
     for row, (matrix, reading_mgauss) in enumerate(zip(rotation, raw, strict=True)):
-        force = np.tile(matrix.T @ [0.0, 0.0, -STANDARD_GRAVITY_MPS2], (n, 1))
-        stimulus = Stimulus(
-            time_s=start_s + step_s * np.arange(1.0, n + 1.0),
-            rotation=np.tile(matrix, (n, 1, 1)),
-            field_ned_mgauss=np.tile(field_ned[row], (n, 1)),
-            rate_radps=np.zeros((n, 3)),
-            specific_force_mps2=force,
+        stimulus = Stimulus.posed(
+            start_s + step_s * np.arange(1.0, n + 1.0),
+            np.tile(matrix, (n, 1, 1)),
+            field_ned[row],
             position_ned_m=np.tile(vehicle.truth.position_ned_m, (n, 1)),
-            velocity_ned_mps=np.zeros((n, 3)),
             current_a=np.full(n, around.current_a),
             throttle=np.full(n, around.throttle),
             temperature_degc=np.full(n, around.temperature_degc),
             motors=np.tile(around.motors, (n, 1)),
         )
-        signals = Signals(stimulus, Reading(np.tile(reading_mgauss, (n, 1)), force, np.zeros((n, 3))))
+        reading = replace(ideal(stimulus), mag_mgauss=np.tile(reading_mgauss, (n, 1)))
+        signals = Signals(stimulus, reading)
         rng = generator(vehicle.board.seed, f"judge {row}")
         # On copies: what an effect remembers of the journey so far must not change by being looked at.
         for distortion in copy.deepcopy(vehicle.board.sensors.distortions):

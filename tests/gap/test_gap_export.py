@@ -17,7 +17,7 @@ from mavcompass.gap.result import Belief, Cause, Cured
 from mavcompass.simulation import effects
 from mavcompass.simulation.effects import catalogue
 from mavcompass.simulation.effects.effect import Distortion, Setting, Signals
-from mavcompass.simulation.physics.signals import Reading, Stimulus
+from mavcompass.simulation.physics.signals import Stimulus, ideal
 
 AFFINE = {"hard_iron", "soft_iron", "axis_scale"}
 IMU = {"accel_bias", "accel_scale", "gyro_bias", "gyro_scale"}
@@ -164,13 +164,13 @@ def test_the_script_makes_the_field_that_our_own_effect_makes(effect_id: str, ti
     ]
     # The recording begins at its datum, from which a gradient counts.
     position, rotation = np.array([[0.0, 0.0, 0.0], [3.0, -2.0, -1.5]]), euler_to_matrix(0.2, -0.3, 1.1)
-    field, zero, two = np.tile([230.0, 50.0, -520.0], (2, 1)), np.zeros((2, 3)), np.ones(2)
-    motors = np.tile(0.1 * np.arange(1, 9), (2, 1))
-    stimulus = Stimulus(
-        np.array([0.0, time_s]), np.stack([rotation, rotation]), field, zero, zero, position, zero,
-        12.0 * two, 0.5 * two, 31.5 * two, motors,
+    field, two = np.tile([230.0, 50.0, -520.0], (2, 1)), np.ones(2)
+    stimulus = Stimulus.posed(
+        np.array([0.0, time_s]), np.stack([rotation, rotation]), field, position_ned_m=position,
+        current_a=12.0 * two, throttle=0.5 * two, temperature_degc=31.5 * two,
+        motors=np.tile(0.1 * np.arange(1, 9), (2, 1)),
     )  # fmt: skip
-    before = Signals(stimulus, Reading(field @ rotation, zero, zero))
+    before = Signals(stimulus, ideal(stimulus))
     truth = Distortion(settings).run(before, None).reading.mag_mgauss[1]
     script = TARGETS["ardupilot-lua"](Found(settings)).text
     firmware = Firmware(script, time_s, position[1], rotation)

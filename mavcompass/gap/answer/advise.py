@@ -16,7 +16,6 @@ from mavcompass.gap.result import Flight
 from mavcompass.simulation.effects import Setting
 from mavcompass.simulation.effects.effect import Distortion, Signals
 from mavcompass.simulation.physics.signals import Stimulus, ideal
-from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 _RATE_HZ = 10.0
 
@@ -127,11 +126,9 @@ def _signals(protocol: Protocol, field: FloatArray) -> Signals:
         if name.startswith("warm"):
             temperature = 25.0 + 20.0 * np.sin(math.pi * u)
     rotation = euler_to_matrix(roll, pitch, yaw)
-    world = np.tile(field, (n, 1))
-    force = rotation[:, 2, :] * -STANDARD_GRAVITY_MPS2
-    rate_radps = body_rate(t, rotation)
-    stimulus = Stimulus(
-        t, rotation, world, rate_radps, force, position, np.zeros((n, 3)), 1.0 + 28.0 * throttle**1.5,
-        throttle, temperature, np.repeat(throttle[:, None], 4, axis=1),
+    stimulus = Stimulus.posed(
+        t, rotation, field, rate_radps=body_rate(t, rotation), position_ned_m=position, throttle=throttle,
+        current_a=1.0 + 28.0 * throttle**1.5, temperature_degc=temperature,
+        motors=np.repeat(throttle[:, None], 4, axis=1),
     )  # fmt: skip
     return Signals(stimulus, ideal(stimulus))

@@ -14,7 +14,7 @@ from mavcompass.gap.replay.nuisance import calibration_in_force, known_iron
 from mavcompass.gap.result import FIELD, MOTOR, Belief, Cause, Diagnosis
 from mavcompass.simulation.effects import Setting, get
 from mavcompass.simulation.effects.effect import Distortion, Signals
-from mavcompass.simulation.physics.signals import Reading, Stimulus
+from mavcompass.simulation.physics.signals import Stimulus, ideal
 from mavcompass.track import Track
 
 _ROTATION_LEFT_OUT_RAD = math.radians(0.05)
@@ -129,14 +129,8 @@ def affine_map(settings: Sequence[Setting]) -> tuple[FloatArray, FloatArray]:
     """Compose affine effects to raw = A field + b: A (3, 3), b (3,), by passing a basis through them."""
     field: FloatArray = np.zeros((4, 3))
     field[1:] = 100.0 * np.eye(3)
-    n = len(field)
-    rotation: FloatArray = np.broadcast_to(np.eye(3), (n, 3, 3)).astype(np.float64)
-    zero, none = np.zeros((n, 3)), np.zeros(n)
-    stimulus = Stimulus(
-        np.arange(n, dtype=np.float64), rotation, field, zero, zero, zero, zero, none, none, none,
-        np.zeros((n, 0)),
-    )  # fmt: skip
-    out = Distortion(list(settings)).run(Signals(stimulus, Reading(field, zero, zero)), None)
+    stimulus = Stimulus.posed(np.arange(4.0), np.tile(np.eye(3), (4, 1, 1)), field)
+    out = Distortion(list(settings)).run(Signals(stimulus, ideal(stimulus)), None)
     raw = out.reading.mag_mgauss
     return (raw[1:] - raw[0]).T / 100.0, raw[0]
 

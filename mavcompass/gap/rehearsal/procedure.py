@@ -26,7 +26,6 @@ from mavcompass.gap.rehearsal.draws import Individual
 from mavcompass.gap.rehearsal.kind import STEP_S, Kind, rows_of
 from mavcompass.simulation.effects.effect import Signals
 from mavcompass.simulation.physics.signals import Stimulus, ideal
-from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 NOISE, QUANTISATION, TILT, GYRO, FIELD = "noise", "quantisation", "tilt", "gyro", "field"
 _ENOUGH_RAD, _MOST_POSITIONS = math.radians(0.3), 8
@@ -192,25 +191,26 @@ def _motion(
         return values[position] + way * (values[after] - values[position])
 
     rotation = euler_to_matrix(between(roll), between(pitch), between(heading))
+    turning = rotation[:, 2, :] * (turn * speed)[:, np.newaxis]
     where = np.where(since < _DWELL_ROWS, position, after)
     at = individual.stance[:count][where]
     load = 0.0 if protocol.motors_off else 1.0
-    down = rotation[:, 2, :]
     start_s = float(kind.used.time_s[-1]) + _AFTERWARDS_S
-    field = kind.field_ned_mgauss if FIELD in without else individual.field_ned_mgauss
-    return Stimulus(
-        time_s=start_s + np.arange(n) / _HZ,
-        rotation=rotation,
-        field_ned_mgauss=np.tile(field, (n, 1)),
-        rate_radps=down * (turn * speed)[:, np.newaxis],
-        specific_force_mps2=down * -STANDARD_GRAVITY_MPS2,
+    return Stimulus.posed(
+        start_s + np.arange(n) / _HZ,
+        rotation,
+        _field(kind, individual, without),
+        rate_radps=turning,
         position_ned_m=kind.still.position_ned_m[at] + np.array(protocol.away_m),
-        velocity_ned_mps=np.zeros((n, 3)),
         current_a=kind.still.current_a[at] * load,
         throttle=kind.still.throttle[at] * load,
         temperature_degc=kind.still.temperature_degc[at],
         motors=kind.still.motors[at] * load,
     )
+
+
+def _field(kind: Kind, individual: Individual, without: Collection[str]) -> FloatArray:
+    return kind.field_ned_mgauss if FIELD in without else individual.field_ned_mgauss
 
 
 def _attitudes() -> tuple[FloatArray, FloatArray]:
@@ -235,22 +235,16 @@ def heading_errors_deg(
     those of a moment of the recording.
     """
     n = _YAW.size * _READINGS
-    field = kind.field_ned_mgauss if FIELD in without else individual.field_ned_mgauss
-    rotation = np.repeat(_ROTATION, _READINGS, axis=0)
-    force = rotation[:, 2, :] * -STANDARD_GRAVITY_MPS2
+    field = _field(kind, individual, without)
     moment = rows_of(kind.used, np.full(n, individual.used))
-    stimulus = Stimulus(
-        time_s=kind.used.time_s[-1] + _MUCH_LATER_S + _HELD_S * np.arange(n),
-        rotation=rotation,
-        field_ned_mgauss=np.tile(field, (n, 1)),
-        rate_radps=np.zeros((n, 3)),
-        specific_force_mps2=force,
+    stimulus = replace(
+        Stimulus.posed(
+            kind.used.time_s[-1] + _MUCH_LATER_S + _HELD_S * np.arange(n),
+            np.repeat(_ROTATION, _READINGS, axis=0),
+            field,
+        ),
         position_ned_m=moment.position_ned_m,
-        velocity_ned_mps=np.zeros((n, 3)),
-        current_a=moment.current_a,
-        throttle=moment.throttle,
-        temperature_degc=moment.temperature_degc,
-        motors=moment.motors,
+        **{load: getattr(moment, load) for load in ("current_a", "throttle", "temperature_degc", "motors")},
     )
     chain = individual.chain(without, loads(stimulus, kind.in_force))
     raw = chain.run(Signals(stimulus, ideal(stimulus)), None).reading.mag_mgauss[_READINGS - 1 :: _READINGS]

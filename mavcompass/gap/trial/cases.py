@@ -23,7 +23,6 @@ from mavcompass.simulation.effects import Distortion, Effect, Setting, catalogue
 from mavcompass.simulation.effects.effect import GROUPS, MOMENTS, Group, Parameter, Stage
 from mavcompass.simulation.physics.signals import Reading, Stimulus, ideal
 from mavcompass.track import MagSeries, Series, Track
-from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 Generator = Literal["bench", "vehicles", "another"]
 Tier = Literal["none", "single", "pair", "withheld", "outside"]
@@ -127,19 +126,10 @@ def _stimulus(recipe: Recipe, field: FloatArray, rng: np.random.Generator) -> St
         position = np.stack([2.0 * _smooth(t, rng, 40.0, 15.0) for _ in range(3)], axis=1)
         position[:, 2] *= 0.4
     current = 1.0 + 28.0 * throttle**1.5
-    return Stimulus(
-        time_s=t,
-        rotation=rotation,
-        field_ned_mgauss=np.tile(field, (n, 1)),
-        rate_radps=body_rate(t, rotation),
-        specific_force_mps2=rotation[:, 2, :] * -STANDARD_GRAVITY_MPS2,
-        position_ned_m=position,
-        velocity_ned_mps=np.zeros((n, 3)),
-        current_a=current,
-        throttle=throttle,
-        temperature_degc=temperature,
-        motors=motors,
-    )
+    return Stimulus.posed(
+        t, rotation, field, rate_radps=body_rate(t, rotation), position_ned_m=position, current_a=current,
+        throttle=throttle, temperature_degc=temperature, motors=motors,
+    )  # fmt: skip
 
 
 def stimulus_of(recipe: Recipe) -> Stimulus:

@@ -8,7 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from mavcompass.frames import FloatArray, rotate, rotate_back
+from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +39,17 @@ class Stimulus:
     throttle: FloatArray
     temperature_degc: FloatArray
     motors: FloatArray
+
+    @classmethod
+    def posed(
+        cls, time_s: FloatArray, rotation: FloatArray, field_ned_mgauss: FloatArray, **given: FloatArray
+    ) -> Stimulus:
+        """Hold attitudes (N, 3, 3) in a field, (3,) or (N, 3), at rest and idle but for what is `given`."""
+        n = len(time_s)
+        none, idle, force = np.zeros((n, 3)), np.zeros(n), rotation[:, 2, :] * -STANDARD_GRAVITY_MPS2
+        field = np.broadcast_to(field_ned_mgauss, (n, 3))
+        rest = cls(time_s, rotation, field, none, force, none, none, idle, idle, idle, none[:, :0])
+        return replace(rest, **given)
 
     @property
     def loads(self) -> dict[str, FloatArray]:

@@ -271,10 +271,7 @@ def test_step_is_looked_for_beside_a_constant() -> None:
     time = np.arange(0.0, 60.0, 0.1)
     residual = np.tile([30.0, -20.0, 10.0], (time.size, 1)) + np.where(time >= 21.0, 1.0, 0.0)[:, None] * B
     none = np.zeros_like(residual)
-    one = np.zeros(time.size)
-    stimulus = Stimulus(
-        time, np.tile(np.eye(3), (time.size, 1, 1)), none, none, none, none, none, one, one, one, none[:, :0]
-    )
+    stimulus = Stimulus.posed(time, np.tile(np.eye(3), (time.size, 1, 1)), none)
     misfit = Misfit(
         Signals(stimulus, Reading(none, none, none)), Reading(residual, none, none),
         np.ones(time.size, dtype=np.bool_), np.full(3, NOISE), False,

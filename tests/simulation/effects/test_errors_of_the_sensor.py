@@ -8,7 +8,7 @@ import pytest
 from mavcompass.frames import FloatArray
 from mavcompass.simulation.effects import Setting, catalogue, parse, spell
 from mavcompass.simulation.effects.effect import ON_IRON, Distortion, Signals
-from mavcompass.simulation.physics.signals import Reading, Stimulus
+from mavcompass.simulation.physics.signals import Stimulus, ideal
 
 _FIELD = np.array([[220.0, -40.0, 410.0], [-180.0, 90.0, 380.0]])
 _IRON = np.array([60.0, -25.0, 140.0])
@@ -17,13 +17,10 @@ _OF_THE_SENSOR = sorted(effect.id for effect in catalogue().values() if ON_IRON 
 
 def _run(field: FloatArray, *texts: str) -> FloatArray:
     n = len(field)
-    turned, zero, warm = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3)), np.full(n, 45.0)
-    stimulus = Stimulus(
-        np.arange(n, dtype=np.float64), turned, field, zero, zero, zero, zero, warm, warm, warm,
-        np.zeros((n, 0)),
-    )  # fmt: skip
+    turned, warm = np.tile(np.eye(3), (n, 1, 1)), np.full(n, 45.0)
+    stimulus = Stimulus.posed(np.arange(n, dtype=np.float64), turned, field, temperature_degc=warm)
     settings = [parse(text) for text in texts]
-    return Distortion(settings).run(Signals(stimulus, Reading(field, zero, zero)), None).reading.mag_mgauss
+    return Distortion(settings).run(Signals(stimulus, ideal(stimulus)), None).reading.mag_mgauss
 
 
 def test_gains_axes_and_turns_are_of_the_sensor() -> None:

@@ -36,19 +36,7 @@ def swinging(time_s: np.ndarray, iron_mgauss: tuple[float, float, float] = (0.0,
     rate = np.stack([0 * yaw, 0 * yaw, 0.2 + 0.3 * speed * np.cos(speed * time_s)], axis=1)
     rotation, n = about_down(yaw), time_s.size
     field, none = np.tile(FIELD, (n, 1)), np.zeros((n, 3))
-    stimulus = Stimulus(
-        time_s,
-        rotation,
-        field,
-        rate,
-        none,
-        none,
-        none,
-        np.ones(n),
-        np.zeros(n),
-        np.zeros(n),
-        np.empty((n, 0)),
-    )
+    stimulus = Stimulus.posed(time_s, rotation, field, rate_radps=rate)
     return Signals(stimulus, Reading(rotate_back(rotation, field) + np.array(iron_mgauss), none, none))
 
 
