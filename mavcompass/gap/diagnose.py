@@ -12,14 +12,14 @@ from mavcompass.gap.answer.decision import decide
 from mavcompass.gap.answer.description import describe
 from mavcompass.gap.answer.evidence import Evidence
 from mavcompass.gap.attitude.reference import Choice
-from mavcompass.gap.attitude.steering import accelerometer_fault, sensor_fault, steered_by, without_fault
+from mavcompass.gap.attitude.steering import sensor_faults, steered_by
 from mavcompass.gap.left.adequacy import doubting, judge
 from mavcompass.gap.left.floor import Floor, foreseen, from_recording
 from mavcompass.gap.left.taught import from_baseline
 from mavcompass.gap.replay.nominal import Replay, replay
 from mavcompass.gap.replay.rows import shared_period_s
 from mavcompass.gap.replay.testable import half_testable, untestable_effects
-from mavcompass.gap.result import Cause, Diagnosis
+from mavcompass.gap.result import Diagnosis
 from mavcompass.gap.selection.identification import Remainder, identify, what_is_left, with_white
 from mavcompass.gap.selection.posterior import Identified
 from mavcompass.gap.selection.split import split_blocks
@@ -95,36 +95,27 @@ def examine(
     every = catalogue().values()
     progress("finding the attitude")
 
-    # 1. Accelerometer
-    shifted: tuple[Cause, ...] = ()
-    if baseline is not None and track.reference_q is None:
-        shifted = tuple(f for f in accelerometer_fault(track, baseline) if f.effect not in withheld)
-
-    # 2. Replay, and with its attitude the gyro
+    # 1. Replay, and with its attitude the gyro and the accelerometer
     kept = {} if replayed is None else replayed
-    now, before = _replays(without_fault(track, shifted), baseline, compass, reference, thorough, kept)
-    faults = shifted
-    if before is not None:
-        own, usual = now.reference, before.reference
-        of_gyro = sensor_fault("gyro offset", own.gyro_bias, usual.gyro_bias)
-        of_gyro += sensor_fault("gyro gain", own.gyro_scale, usual.gyro_scale)
-        faults += tuple(f for f in of_gyro if f.effect not in withheld)
+    now, before = _replays(track, baseline, compass, reference, thorough, kept)
+    faults = () if before is None else sensor_faults(now.reference.errors, before.reference.errors)
+    faults = tuple(fault for fault in faults if fault.effect not in withheld)
 
-    # 3. Doubtful sensors, and with them what the recording can tell
+    # 2. Doubtful sensors, and with them what the recording can tell
     now, before = doubting(now, before, every)
     untestable = untestable_effects(now, every, before is not None and before.telemetry)
     half = half_testable(now, every)
     weighed = every if among is None else [e for e in every if e.id in among]
     testable = [e for e in weighed if e.id not in withheld and (e.id in half or e.id not in untestable)]
 
-    # 4. Floor
+    # 3. Floor
     progress("measuring the floor")
     floor = from_recording(now) if before is None else from_baseline(now, before, every)
     if faults:
         # The autopilot's attitude is made of the same sensors: a witness less than in the baseline.
         floor = floor.larger(_WITHOUT_WITNESS)
 
-    # 5. Traces
+    # 4. Traces
     traces, now = find_traces(
         now, before, float(floor.noise["mag"].rms.mean()), floor.field_rms_mgauss,
         frozenset(e.id for e in testable), floor.representative,
@@ -135,7 +126,7 @@ def examine(
         # A compass that says one thing tells of nothing else.
         testable = []
 
-    # 6. Split, 7. Search, 8. What is left
+    # 5. Split, 6. Search, 7. What is left
     progress(f"weighing {len(testable)} effects")
     identified, remainder, floor = _explained(now, floor, testable, traces)
     if identified.fit.is_turned and steered_by(track, compass) != "other":

@@ -7,6 +7,7 @@ moves.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,6 +24,7 @@ from mavcompass.gap.attitude.kinematics import (
 from mavcompass.gap.attitude.receiver import Velocity, triangle_means
 from mavcompass.gap.attitude.scatter import Bias
 from mavcompass.gap.attitude.smoother import (
+    ACC,
     BIAS,
     LOST_YAW_RAD,
     PHI,
@@ -33,6 +35,7 @@ from mavcompass.gap.attitude.smoother import (
     Smoother,
     Witness,
 )
+from mavcompass.simulation.effects.effect import Detector
 from mavcompass.track import Track, uncut
 
 # What is left of a pass is the square of how far it moved, and how much its velocities are believed.
@@ -63,15 +66,14 @@ class Smoothed:
 
     Attributes:
         rotation: body to NED, (N, 3, 3). rate_radps: without the gyro's bias and scale error, (N, 3).
-        gyro_bias: mean over the recording, and its standard deviation. gyro_scale: gain error of each axis.
+        errors: of gyro and accelerometer, means over the recording with their standard deviations.
         knots_s: the smoother's times, (K,). some: those that tell how the error goes, (M,).
         borne_out: False where a receiver's velocity is contradicted.
     """
 
     rotation: FloatArray
     rate_radps: FloatArray
-    gyro_bias: Bias
-    gyro_scale: Bias
+    errors: Mapping[Detector, Bias]
     knots_s: FloatArray
     some: NDArray[np.int64]
     borne_out: bool
@@ -116,29 +118,31 @@ def smoothed_attitude(
         if turn > 0 and settled and float(np.abs(trust - before).max(initial=0.0)) < _AS_TRUSTED:
             break
     assert solved is not None
-    change = solved.states[:, BIAS].mean(axis=0)
-    rate = smoother.rate - smoother.between(solved.states[:, BIAS]) - smoother.rate * solved.constants[SCALE]
+    constants, change = solved.constants, solved.states[:, BIAS].mean(axis=0)
+    rate = smoother.rate - smoother.between(solved.states[:, BIAS]) - smoother.rate * constants[SCALE]
     middle = np.array([smoother.knots.size // 2])
     sigma = np.sqrt(np.diag(solved.covariance(middle, BIAS.stop))[BIAS])
     excess = smoother.excess(solved)
     # The constants are a share of what the gyro says, its scale is one of how it turned.
-    turned = 1.0 - solved.constants[SCALE]
-    scale_sigmas = np.sqrt(excess * np.diag(solved.constants_covariance)[SCALE])
-    scale = Bias(solved.constants[SCALE] / turned, scale_sigmas / turned**2)
+    turned, sigmas = 1.0 - constants[SCALE], np.sqrt(excess * np.diag(solved.constants_covariance))
+    errors: dict[Detector, Bias] = {
+        "gyro offset": Bias(bias.mean + change, sigma),
+        "gyro gain": Bias(constants[SCALE] / turned, sigmas[SCALE] / turned**2),
+        "accelerometer offset": Bias(constants[ACC], sigmas[ACC]),
+    }
     return Smoothed(
-        rotation, rate, Bias(bias.mean + change, sigma), scale,
-        smoother.knots, smoother.telling(), smoother.bears_out(solved), solved, excess,
-    )  # fmt: skip
+        rotation, rate, errors, smoother.knots, smoother.telling(), smoother.bears_out(solved), solved, excess
+    )
 
 
 def believable(smoothed: Smoothed, bias: Bias) -> bool:
     """Tell whether a gyro's bias is what it was at rest, as far as that may be."""
-    return not bool((np.abs(smoothed.gyro_bias.mean - bias.mean) > _STRAINED * bias.sigma).any())
+    return not bool((np.abs(smoothed.errors["gyro offset"].mean - bias.mean) > _STRAINED * bias.sigma).any())
 
 
 def stretched(smoothed: Smoothed) -> bool:
     """Tell whether a gyro's scale is off by more than a healthy one's is."""
-    return bool((np.abs(smoothed.gyro_scale.mean) > _STRETCHED * SCALE_SIGMA).any())
+    return bool((np.abs(smoothed.errors["gyro gain"].mean) > _STRETCHED * SCALE_SIGMA).any())
 
 
 def faulty(bias: Bias) -> Bias:

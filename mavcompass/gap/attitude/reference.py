@@ -11,6 +11,7 @@ recorded too slowly.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Literal
 
@@ -37,6 +38,7 @@ from mavcompass.gap.attitude.scatter import Bias, bias_at_rest
 from mavcompass.gap.attitude.smoother import Witness
 from mavcompass.gap.attitude.steering import steered_by, told_rotation
 from mavcompass.gravity import require_gravity
+from mavcompass.simulation.effects.effect import Detector
 from mavcompass.simulation.effects.sampling import at_times, rotation_at
 from mavcompass.simulation.physics.signals import Turning
 from mavcompass.track import Track
@@ -67,8 +69,7 @@ class Reference(Doubt):
         rotation: body to NED, (N, 3, 3); rate_radps: its body rate, (N, 3).
         known: where there is one, (N,).
         doubted: the times, of all (N,), at which its doubt stands, (M,).
-        gyro_bias: what the gyro says when nothing turns; None where that was not estimated. gyro_scale: by
-            which share of a turn it is off.
+        errors: what gyro and accelerometer are off by, where that was estimated.
         witnessed: whether anything but the compass under test tells the yaw.
         notes: what a reader of the result must know.
     """
@@ -78,8 +79,7 @@ class Reference(Doubt):
     rate_radps: FloatArray
     known: NDArray[np.bool_]
     doubted: slice = field(default_factory=lambda: _EVERY)
-    gyro_bias: Bias | None = None
-    gyro_scale: Bias | None = None
+    errors: Mapping[Detector, Bias] = field(default_factory=dict)
     witnessed: bool = True
     notes: tuple[str, ...] = ()
 
@@ -253,8 +253,7 @@ def _fused(
         at_times(clock, smoothed.rate_radps, time_s),
         _near(clock, time_s, 3.0 * float(np.median(np.diff(clock)))),
         **{one.name: getattr(doubt, one.name) for one in fields(doubt)},
-        gyro_bias=smoothed.gyro_bias,
-        gyro_scale=smoothed.gyro_scale,
+        errors=smoothed.errors,
         witnessed=bool(told),
         notes=(f"The attitude is the smoothed gyro and accelerometer{by}.",),
     )

@@ -42,7 +42,7 @@ _GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
 # States: rotation, gyro bias, velocity; what a witness is off by: yaw for seconds and for minutes, level.
 PHI, BIAS, _V, _FAST, _SLOW, _LEVEL, _STATES = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, (11, 12), 13
 # Constants: gyro scale, accelerometer bias, the receiver's delay, the witness's constant and its turns.
-SCALE, _ACC, _LATE, _OFFSET, _TURNS, _CONSTANTS = slice(0, 3), slice(3, 6), 6, 7, slice(8, 11), 11
+SCALE, ACC, _LATE, _OFFSET, _TURNS, _CONSTANTS = slice(0, 3), slice(3, 6), 6, 7, slice(8, 11), 11
 # Angle and bias walk, rad and rad/s per root second; velocity, m/s per root second.
 _WALK, _WANDER, _PUSH = math.radians(0.01), math.radians(0.005), 0.005
 SCALE_SIGMA, _ACC_SIGMA_MPS2, _LATE_SIGMA_S = 0.005, 0.08, 0.1
@@ -148,7 +148,7 @@ class Smoother:
         # v_1 - v_0 + [integral R f]x phi + integral R a = integral (R f + g)
         before, after, c = _blank(count, 3), _blank(count, 3), np.zeros((count, 3, _CONSTANTS))
         leaning = 0.5 * cross_matrices(pushed)
-        before[:, :, _V], after[:, :, _V], c[:, :, _ACC] = -unit, unit, turn
+        before[:, :, _V], after[:, :, _V], c[:, :, ACC] = -unit, unit, turn
         before[:, :, PHI] = after[:, :, PHI] = leaning
         chain.link(before, after, c, pushed + time * _GRAVITY, 1.0 / push)
         self._add_first(chain)

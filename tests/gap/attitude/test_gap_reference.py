@@ -151,9 +151,8 @@ def test_bias_at_rest_is_taken_out() -> None:
     found = reference_attitude(recorded(t, rotation, np.zeros((t.size, 3)), bias=(0.01, -0.02, 0.03)), t)
     off = found.rate_radps[t < 20.0].mean(axis=0)
     np.testing.assert_allclose(off, 0.0, atol=3e-4)
-    assert found.gyro_bias is not None
-    np.testing.assert_allclose(found.gyro_bias.mean, (0.01, -0.02, 0.03), atol=3e-4)
-    assert (found.gyro_bias.sigma < math.radians(0.1)).all()
+    np.testing.assert_allclose(found.errors["gyro offset"].mean, (0.01, -0.02, 0.03), atol=3e-4)
+    assert (found.errors["gyro offset"].sigma < math.radians(0.1)).all()
 
 
 def test_wandering_bias_of_what_stands_hardly_tilts() -> None:

@@ -13,6 +13,5 @@ from mavcompass.gap.trial.vehicles import make_case
 def test_gyro_stays_what_it_is_where_a_turned_compass_leans_the_autopilot(seed: int) -> None:
     case = make_case(seed, "single")
     assert [effect for effect, _ in case.effects] == ["orientation"] and case.baseline is not None
-    flight, before = (replay(track).reference.gyro_bias for track in (case.track, case.baseline))
-    assert flight is not None and before is not None
+    flight, before = (replay(track).reference.errors["gyro offset"] for track in (case.track, case.baseline))
     np.testing.assert_allclose(flight.mean, before.mean, atol=0.006)
