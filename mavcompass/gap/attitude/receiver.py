@@ -10,7 +10,7 @@ import numpy as np
 from mavcompass.earth_field import middle_place
 from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude.kinematics import interpolated
-from mavcompass.gap.attitude.scatter import white_scatter
+from mavcompass.gap.attitude.scatter import white_floor
 from mavcompass.simulation.physics.world import EARTH_RADIUS_M
 from mavcompass.track import Series, Track
 
@@ -133,7 +133,7 @@ def receiver_velocity(track: Track, clock: FloatArray) -> Velocity | None:
         if when.size < _FEWEST_FIXES:
             continue
         change = np.gradient(_running(values, _SMOOTHED), when, axis=0)
-        return Velocity(when, values, change, np.maximum(white_scatter(values), _LEAST_SCATTER_MPS))
+        return Velocity(when, values, change, np.maximum(white_floor(values), _LEAST_SCATTER_MPS))
     return None
 
 

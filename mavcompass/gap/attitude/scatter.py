@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 
-# The order of the differences that noise is told from.
-_ORDER = 6
 # Readings of a window that a spectrum is taken of, and frequencies that a window spreads a constant over.
 _WINDOW, _WINDOWED = 32, 3
 # The median of squares of normal deviates.
@@ -29,16 +27,6 @@ _ONE_PART_RADPS = math.radians(0.15)
 _LEAST_RADPS = math.radians(0.02)
 _PART_S = 2.0
 _FEWEST_PARTS = 3
-
-
-def white_scatter(values: FloatArray) -> FloatArray:
-    """Return the standard deviation of what is white in columns (N, k), (k,), from sixth differences.
-
-    Those of white noise have the variance C(12, 6) sigma^2. Of a motion of frequency f, sampled every h
-    seconds, they hold (2 sin(pi f h))^6 only: second ones took a vehicle's own swinging for noise.
-    """
-    sixth = np.abs(np.diff(values, _ORDER, axis=0))
-    return np.asarray(1.4826 * np.median(sixth, axis=0) / math.sqrt(math.comb(2 * _ORDER, _ORDER)))
 
 
 def white_floor(values: FloatArray) -> FloatArray:

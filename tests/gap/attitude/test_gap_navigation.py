@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from mavcompass.frames import FloatArray, euler_to_matrix, quaternion_to_matrix, rotate_back
 from mavcompass.gap.attitude.kinematics import integral
 from mavcompass.gap.attitude.reference import Reference, body_rate, reference_attitude
-from mavcompass.gap.attitude.scatter import white_floor, white_scatter
+from mavcompass.gap.attitude.scatter import white_floor
 from mavcompass.gap.attitude.steering import remembered_turns
 from mavcompass.gap.trial.vehicles import make_case
 from mavcompass.track import MagSeries, Series, Track
@@ -189,15 +189,6 @@ def test_a_receiver_that_what_is_felt_contradicts_tells_no_yaw() -> None:
     assert track is not None
     found = reference_attitude(track, times_of(track))
     assert found.yaw_unknown and "receiver" not in found.notes[0]
-
-
-@given(st.floats(0.02, 0.12), st.floats(0.0, 30.0))
-@settings(max_examples=20, deadline=None)
-def test_scatter_is_that_of_the_noise_and_not_of_a_swing(share_of_rate: float, size: float) -> None:
-    rng = np.random.default_rng(5)
-    phase = 2.0 * np.pi * share_of_rate * np.arange(4000)
-    values = rng.standard_normal((4000, 2)) * [0.2, 1.0] + size * np.sin(phase)[:, None]
-    assert white_scatter(values) == pytest.approx([0.2, 1.0], rel=0.1, abs=0.01 * size)
 
 
 @given(st.floats(0.02, 0.48), st.floats(0.0, 30.0))
