@@ -21,10 +21,10 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.diagnose import Replayed, diagnose_gap
 from mavcompass.gap.export import follows_places, settings_of
 from mavcompass.gap.left.floor import heading_error_rad, rms, rms_deg
-from mavcompass.gap.left.taught import DISCREPANCY_MGAUSS
 from mavcompass.gap.replay.nominal import Replay, replay
 from mavcompass.gap.replay.rows import shared_period_s
 from mavcompass.gap.result import Cause, Closing, Diagnosis, plain
+from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects import catalogue, get
 from mavcompass.simulation.effects.effect import Distortion
 from mavcompass.track import Track
@@ -278,7 +278,7 @@ def _off(left2: FloatArray, floor2: float) -> FloatArray:
     Above it something is missing. Well below it the simulator has too much noise, which must not count as a
     gap that closed; a floor holds something for the model itself, and is not known to a tenth.
     """
-    noise2 = _FLOOR_KNOWN * floor2 - DISCREPANCY_MGAUSS**2
+    noise2 = _FLOOR_KNOWN * floor2 - usual.compass.discrepancy_mgauss**2
     return np.maximum(np.maximum(left2 - floor2, noise2 - left2), 0.0)
 
 

@@ -1,17 +1,20 @@
-"""The numbers that decide, as data: `params/gap/criterion.json`, made by `scripts/learn_gap`.
+"""The numbers of the diagnosis, as data: what decides, and what is usual before a recording says more.
 
-They come from simulated vehicles, healthy and not, by makers that share no code; the file says which, and
-with which seeds. Nothing in it is fitted on the recording in hand.
+What decides, `params/gap/criterion.json`, is made by `scripts/learn_gap` from simulated vehicles, healthy and
+not, by makers that share no code; the file says which, and with which seeds. What is usual is in
+`params/gap/usual.toml`. Nothing in either is fitted on the recording in hand.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Literal, get_args
+from types import SimpleNamespace
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
@@ -120,6 +123,26 @@ class Tables:
     map: ProbabilityMap
 
 
+def _usual() -> SimpleNamespace:
+    """Read `params/gap/usual.toml`, table by table; angles are in radians, their names as well."""
+
+    def read(name: str, value: object) -> tuple[str, object]:
+        radians = name.replace("_deg", "_rad")
+        return radians, math.radians(cast(float, value)) if radians != name else value
+
+    document = tomllib.loads(params_path("gap/usual.toml").read_text(encoding="utf-8"))
+    return SimpleNamespace(
+        **{
+            table: SimpleNamespace(**dict(read(*one) for one in values.items()))
+            for table, values in document.items()
+        }
+    )
+
+
+# What is known before a recording says more: sensors, receivers, autopilots, places.
+usual: Any = _usual()
+
+
 @cache
 def tables() -> Tables:
     """Read the tables."""
@@ -128,8 +151,6 @@ def tables() -> Tables:
 
 def parsed(document: Mapping[str, object]) -> Tables:
     """Make tables of their document. Raises ValueError for another schema."""
-    from typing import Any, cast
-
     found = cast(Any, document)
     if found["schema"] != SCHEMA:
         raise ValueError(f"criterion.json is not {SCHEMA}")

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
 
 from mavcompass.gap.answer.evidence import figures, statistics
+from mavcompass.gap.attitude.reference import ReferenceKind
 from mavcompass.gap.diagnose import examine
-from mavcompass.gap.tables import KINDS, OUTCOMES, parsed, tables
+from mavcompass.gap.tables import KINDS, OUTCOMES, parsed, tables, usual
 from mavcompass.gap.trial.cases import Recipe, make_track
 from mavcompass.installation.data_files import params_path
 
@@ -86,6 +88,15 @@ def test_evidence_becomes_tables_with_all_that_is_printed_of_them(
     # A try has too few of some kind; it prints what it has.
     few = [line for line in lines if line["kind"] != "reference"]
     assert set(command.learn(few, few)["healthy"]["usual"]) == set(KINDS) - {"reference"}
+
+
+def test_what_is_usual_is_used_and_what_is_used_is_there() -> None:
+    known = {f"{table}.{name}" for table, values in vars(usual).items() for name in vars(values)}
+    code = "".join(file.read_text("utf-8") for file in (ROOT / "mavcompass/gap").rglob("*.py"))
+    used = set(re.findall(r"\busual\.(\w+\.\w+)", code))
+    # An attitude's doubt goes by its kind.
+    used |= {f"doubt.{kind}_rad" for kind in get_args(ReferenceKind)}
+    assert used == known and usual.yaw.lost_rad == pytest.approx(1.0472, abs=1e-4)
 
 
 def test_tables_of_another_form_are_refused() -> None:

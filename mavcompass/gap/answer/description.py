@@ -22,11 +22,9 @@ from mavcompass.gap.left.floor import Floor, heading_error_rad, rms
 from mavcompass.gap.replay.noise import group_values
 from mavcompass.gap.replay.nominal import level_mgauss
 from mavcompass.gap.replay.nuisance import (
-    AGE_SIGMA_S,
     IRON_MATRIX,
     IRON_OFFSET,
     TELEMETRY_AGE,
-    USUAL_AGE_S,
     WORLD_FIELD,
 )
 from mavcompass.gap.result import (
@@ -43,6 +41,7 @@ from mavcompass.gap.result import (
     Place,
 )
 from mavcompass.gap.selection.posterior import Identified
+from mavcompass.gap.tables import usual
 from mavcompass.parameter_remarks import remarks_said
 from mavcompass.simulation.effects import Stage, catalogue
 
@@ -338,7 +337,7 @@ def _unusually_late_s(evidence: Evidence, named: Fit) -> float | None:
     if age is None or evidence.floor.measured:
         return None
     late_s = float(age[0]) + evidence.replay.late_s
-    return late_s if late_s > USUAL_AGE_S + _BEYOND_USUAL * AGE_SIGMA_S else None
+    return late_s if late_s > usual.age.usual_s + _BEYOND_USUAL * usual.age.sigma_s else None
 
 
 def _hidden(evidence: Evidence, named: Fit) -> dict[str, str]:

@@ -26,32 +26,28 @@ from mavcompass.gap.attitude.scatter import Bias
 from mavcompass.gap.attitude.smoother import (
     ACC,
     BIAS,
-    LOST_YAW_RAD,
     PHI,
     SCALE,
-    SCALE_SIGMA,
-    USUAL_V_MPS,
     Sensed,
     Smoother,
     Witness,
 )
+from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.effect import Detector
 from mavcompass.track import Track, uncut
 
 # What is left of a pass is the square of how far it moved, and how much its velocities are believed.
 _PASSES, _SETTLED_RAD, _AS_TRUSTED = 10, math.radians(0.3), 0.1
-_STRAINED, _FAULTY_RADPS = 2.0, math.radians(3.0)
+_STRAINED = 2.0
 # A scale that is off by so many of its sigmas is a fault, and may be off by any.
-_STRETCHED, FAULTY_SCALE = 5.0, 0.1
+_STRETCHED = 5.0
 # Curves smaller than this over all are of no consequence: a tenth of a milligauss. Larger ones may last for
 # the seconds between two silences, and leave tens of sigmas there.
 _LEAST_CURVE_RAD, _MOST_CURVES, _LEAST_CONSTANT_RAD = math.radians(0.015), 200, math.radians(0.5)
 # A yaw that is told no better may lie on the wrong side altogether.
 _MOST_LINEAR_RAD = math.radians(5.0)
 _DOWN = np.array([0.0, 0.0, 1.0])
-# Autopilots without a baseline are seen to be off by ten to forty degrees for minutes, after a knock most of
-# all. What changes faster is left to the compass: no turn of the vehicle is swallowed.
-_WANDER_RAD, _LENGTH_S, _MOST_LENGTHS = math.radians(20.0), 20.0, 15.0
+_MOST_LENGTHS = 15.0
 # Modes smaller than this are of no consequence.
 _LEAST_RAD = math.radians(0.1)
 _FEWEST = 20
@@ -99,10 +95,10 @@ def smoothed_attitude(
     bias: Bias,
     velocity: Velocity | None,
     witness: Witness | None,
-    scale_sigma: float = SCALE_SIGMA,
+    scale_sigma: float = usual.gyro.scale,
 ) -> Smoothed:
     """Smooth a first trajectory (N, 3, 3); its yaw must be about that of the velocity, if there is one."""
-    smoother, bound_mps = Smoother(sensed, bias, velocity, witness, scale_sigma), USUAL_V_MPS
+    smoother, bound_mps = Smoother(sensed, bias, velocity, witness, scale_sigma), usual.velocity.usual_mps
     rotation, trust = smoother.through(smoother.at_knots(start)), smoother.full_trust()
     solved: Solved | None = None
     for turn in range(_PASSES):
@@ -142,12 +138,12 @@ def believable(smoothed: Smoothed, bias: Bias) -> bool:
 
 def stretched(smoothed: Smoothed) -> bool:
     """Tell whether a gyro's scale is off by more than a healthy one's is."""
-    return bool((np.abs(smoothed.errors["gyro gain"].mean) > _STRETCHED * SCALE_SIGMA).any())
+    return bool((np.abs(smoothed.errors["gyro gain"].mean) > _STRETCHED * usual.gyro.scale).any())
 
 
 def faulty(bias: Bias) -> Bias:
     """Let a gyro be off by more than a healthy one is."""
-    return Bias(bias.mean, np.maximum(bias.sigma, _FAULTY_RADPS))
+    return Bias(bias.mean, np.maximum(bias.sigma, usual.gyro.faulty_radps))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -205,7 +201,7 @@ def doubt_of(smoothed: Smoothed, time_s: FloatArray, told: bool, healthy: bool) 
     then = interpolated(smoothed.knots_s, at_knots.reshape(len(at_knots), -1), time_s)
     then = then.reshape(time_s.size, 3, -1)
     return Doubt(
-        yaw_sigma_rad=sigma if told else LOST_YAW_RAD,
+        yaw_sigma_rad=sigma if told else usual.yaw.lost_rad,
         with_yaw=then[:, :, 0],
         curves_rad=then[:, :, 1:],
         rest_rad2=np.einsum("kim,kjm->ij", small, small),
@@ -222,13 +218,15 @@ def wandering_yaw(time_s: FloatArray) -> FloatArray:
     """
     span_s = float(time_s[-1] - time_s[0])
     # A long recording has no more modes than one of some minutes: they cost time.
-    length_s = max(_LENGTH_S, span_s / _MOST_LENGTHS)
+    length_s = max(usual.autopilot.wander_s, span_s / _MOST_LENGTHS)
     count = max(math.ceil(2.0 * span_s / length_s), 3) + 1
     knots = np.linspace(time_s[0], time_s[-1], count)
 
     def covariance(at_s: FloatArray) -> FloatArray:
         """Return the covariance of the yaw at some times (M,) with that at the knots, (M, K)."""
-        return np.asarray(_WANDER_RAD**2 * np.exp(-0.5 * ((at_s[:, None] - knots) / length_s) ** 2))
+        return np.asarray(
+            usual.autopilot.wander_rad**2 * np.exp(-0.5 * ((at_s[:, None] - knots) / length_s) ** 2)
+        )
 
     values, vectors = np.linalg.eigh(covariance(knots))
     keep = np.flatnonzero(values > count * _LEAST_RAD**2)[::-1]

@@ -11,6 +11,7 @@ from mavcompass.earth_field import middle_place
 from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude.kinematics import interpolated
 from mavcompass.gap.attitude.scatter import white_floor
+from mavcompass.gap.tables import usual
 from mavcompass.simulation.physics.world import EARTH_RADIUS_M
 from mavcompass.track import Series, Track
 
@@ -19,7 +20,7 @@ _STEP_S = 0.2
 # square of it), and taken away less smooth.
 _COMPARED_S, _TAKEN_S = 3.0, 1.0
 # Readings that a derivative is smoothed over; no receiver's velocity is better than this.
-_SMOOTHED, _LEAST_SCATTER_MPS = 3, 0.05
+_SMOOTHED = 3
 _FEWEST_FIXES = 50
 # Between velocities further apart an acceleration is lost, which the autopilot knows from its own sensors.
 _OFTEN_S = 0.3
@@ -133,7 +134,7 @@ def receiver_velocity(track: Track, clock: FloatArray) -> Velocity | None:
         if when.size < _FEWEST_FIXES:
             continue
         change = np.gradient(_running(values, _SMOOTHED), when, axis=0)
-        return Velocity(when, values, change, np.maximum(white_floor(values), _LEAST_SCATTER_MPS))
+        return Velocity(when, values, change, np.maximum(white_floor(values), usual.receiver.least_mps))
     return None
 
 

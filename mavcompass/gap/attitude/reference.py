@@ -22,7 +22,6 @@ from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, matrix_to_euler, quaternion_to_matrix
 from mavcompass.gap.attitude.kinematics import carried, rotation_vectors
 from mavcompass.gap.attitude.navigation import (
-    FAULTY_SCALE,
     Doubt,
     believable,
     doubt_of,
@@ -37,6 +36,7 @@ from mavcompass.gap.attitude.receiver import receiver_velocity
 from mavcompass.gap.attitude.scatter import Bias, bias_at_rest
 from mavcompass.gap.attitude.smoother import Witness
 from mavcompass.gap.attitude.steering import steered_by, told_rotation
+from mavcompass.gap.tables import usual
 from mavcompass.gravity import require_gravity
 from mavcompass.simulation.effects.effect import Detector
 from mavcompass.simulation.effects.sampling import at_times, rotation_at
@@ -54,9 +54,6 @@ _FEWEST = 20
 _EVERY = slice(None)
 # Curves of an attitude that no baseline tells of: more cost time, and no answer on recordings of others.
 _MOST_ALONE = 48
-# Constant and slow errors of a yaw's witnesses.
-_AUTOPILOT_RAD, _AUTOPILOT_SLOW_RAD = math.radians(3.0), math.radians(0.7)
-_ANTENNAS_RAD, _ANTENNAS_SLOW_RAD = math.radians(1.0), math.radians(0.1)
 _REMEDY = "Record RAW_IMU or IMU messages at 10 Hz or more, or an attitude (ATTITUDE, ATT)."
 
 
@@ -224,11 +221,13 @@ def _fused(
     if antennas is not None:
         leaning = rotation if level is None else level
         facing = euler_to_matrix(0.0, 0.0, antennas - matrix_to_euler(leaning)[2]) @ leaning
-        witness = Witness(facing, _ANTENNAS_RAD, _ANTENNAS_SLOW_RAD)
+        witness = Witness(facing, usual.antennas.constant_rad, usual.antennas.slow_rad)
         told.append("the two-antenna receiver")
     elif level is not None:
         steered = steered_by(track, instance) == "other"
-        witness = Witness(level, _AUTOPILOT_RAD if steered else math.inf, _AUTOPILOT_SLOW_RAD)
+        witness = Witness(
+            level, usual.autopilot.constant_rad if steered else math.inf, usual.autopilot.slow_rad
+        )
         told += ["the autopilot's yaw, which another compass steers"] if steered else []
     if not bearing and witness is not None and math.isfinite(witness.constant_rad):
         ahead = float(np.median(_ahead(rotation, witness.rotation)))
@@ -243,7 +242,9 @@ def _fused(
         known = faulty(resting)
         smoothed = smoothed_attitude(sensed, smoothed.rotation, known, heard, witness)
     if stretched(smoothed):
-        smoothed = smoothed_attitude(sensed, smoothed.rotation, known, heard, witness, FAULTY_SCALE)
+        smoothed = smoothed_attitude(
+            sensed, smoothed.rotation, known, heard, witness, usual.gyro.faulty_scale
+        )
     is_told, healthy = bool(told) and choice != "gyro", believable(smoothed, resting)
     doubt = doubt_of(smoothed, time_s[doubted], is_told, healthy)
     by = f"; its yaw follows {' and '.join(told)}" if told else "; its initial yaw is solved with the field"

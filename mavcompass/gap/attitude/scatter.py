@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.tables import usual
 
 # Readings of a window that a spectrum is taken of, and frequencies that a window spreads a constant over.
 _WINDOW, _WINDOWED = 32, 3
@@ -21,10 +22,6 @@ _SAME_RATE_RADPS = math.radians(1.0)
 # A gyro that an autopilot has calibrated is off by less; what turns faster turns.
 _LARGEST_RADPS = math.radians(3.0)
 _SAME_FORCE_MPS2 = 0.15
-# An autopilot calibrates its gyro when it starts: what warming up leaves.
-_UNKNOWN_RADPS = math.radians(0.15)
-_ONE_PART_RADPS = math.radians(0.15)
-_LEAST_RADPS = math.radians(0.02)
 _PART_S = 2.0
 _FEWEST_PARTS = 3
 
@@ -63,12 +60,12 @@ def bias_at_rest(clock: FloatArray, rate: FloatArray, acc: FloatArray) -> Bias:
         rate[rows].mean(axis=0) for stretch in rests(clock, rate, acc) for rows in _parts(clock, stretch)
     ]
     if not parts:
-        return Bias(np.zeros(3), np.full(3, _UNKNOWN_RADPS))
+        return Bias(np.zeros(3), np.full(3, usual.gyro.unknown_bias_radps))
     if len(parts) < _FEWEST_PARTS:
-        return Bias(np.mean(parts, axis=0), np.full(3, _ONE_PART_RADPS))
+        return Bias(np.mean(parts, axis=0), np.full(3, usual.gyro.unknown_bias_radps))
     # Slow motion makes neighbouring parts alike: two of them count as one.
     spread = np.std(parts, axis=0, ddof=1) / math.sqrt(0.5 * len(parts))
-    return Bias(np.median(parts, axis=0), np.maximum(spread, _LEAST_RADPS))
+    return Bias(np.median(parts, axis=0), np.maximum(spread, usual.gyro.least_bias_radps))
 
 
 def rests(clock: FloatArray, rate: FloatArray, acc: FloatArray) -> list[slice]:

@@ -36,6 +36,7 @@ from mavcompass.gap.attitude.kinematics import (
 from mavcompass.gap.attitude.receiver import Velocity
 from mavcompass.gap.attitude.scatter import MEDIAN_OF_SQUARES, Bias, white_floor
 from mavcompass.gap.attitude.steering import TURN_MEMORIES_S, remembered_turns
+from mavcompass.gap.tables import usual
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 _GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
@@ -43,25 +44,8 @@ _GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
 PHI, BIAS, _V, _FAST, _SLOW, _LEVEL, _STATES = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, (11, 12), 13
 # Constants: gyro scale, accelerometer bias, the receiver's delay, the witness's constant and its turns.
 SCALE, ACC, _LATE, _OFFSET, _TURNS, _CONSTANTS = slice(0, 3), slice(3, 6), 6, 7, slice(8, 11), 11
-# Angle and bias walk, rad and rad/s per root second; velocity, m/s per root second.
-_WALK, _WANDER, _PUSH = math.radians(0.01), math.radians(0.005), 0.005
-SCALE_SIGMA, _ACC_SIGMA_MPS2, _LATE_SIGMA_S = 0.005, 0.08, 0.1
-LOST_YAW_RAD, _UNKNOWN_V_MPS = math.radians(60.0), 100.0
-# A receiver's errors last for a second or so; a velocity that nobody tells, for ten.
-_RECEIVER_MEMORY_S, _VELOCITY_MEMORY_S, _OUTLIER = 1.0, 10.0, 2.5
 # A velocity is contradicted where more is left of it than it varies by, and than so many of its errors.
 _BORNE_OUT = 2.0
-USUAL_V_MPS, _VELOCITIES_MPS = 2.0, (0.2, 0.6, 2.0, 6.0)
-# An autopilot's level is made of the same sensors, and its filter errs as the vehicle turns: it bounds the
-# level, and carries it over what was lost.
-_LEVEL_RAD, _LEVEL_MEMORY_S, _LEVEL_SCATTER_RAD = math.radians(2.0), 20.0, math.radians(0.5)
-_TOLD_TURN_RAD, _TOLD_TURN_SHARE = math.radians(1.0), 0.1
-# A witness is older than the gyro, or younger.
-_WITNESS_LATE_S = 0.03
-_FAST_MEMORY_S, _SLOW_MEMORY_S, _SCATTER_RAD = 8.0, 40.0, math.radians(0.1)
-# A filter that has just begun has the yaw of its first reading, and needs seconds to come from there.
-_BEGINS_RAD = math.radians(5.0)
-_FAST_RAD = math.radians(0.8)
 _COVARIANCES, _MOST_SILENCES = 64, 32
 
 
@@ -113,17 +97,17 @@ class Smoother:
         self._still = integrated(clock, self.rate)
         self._still_knots = self.at_knots(self._still)
         self._turned = self._still_knots[:-1].transpose(0, 2, 1) @ self._still_knots[1:]
-        self._walk, self._unturned = self._walked(self.rate, _WALK, 0.5)
-        self._push, self._unpushed = self._walked(self.force, _PUSH, 0.7)
+        self._walk, self._unturned = self._walked(self.rate, usual.gyro.walk_rad, 0.5)
+        self._push, self._unpushed = self._walked(self.force, usual.accelerometer.walk_mps, 0.7)
         self._told = None if witness is None else self.at_knots(witness.rotation)
         self._linked = self._turned
         if self._told is not None:
             # How far it turned while nothing was heard, an autopilot knows, whichever compass steers it.
-            known = self._is_silent & (self._unturned > _TOLD_TURN_RAD**2)
+            known = self._is_silent & (self._unturned > usual.autopilot.turn_rad**2)
             turn = self._told[:-1].transpose(0, 2, 1) @ self._told[1:]
-            bent = _TOLD_TURN_SHARE * np.linalg.norm(rotation_vectors(turn), axis=1)
+            bent = usual.autopilot.turn_share * np.linalg.norm(rotation_vectors(turn), axis=1)
             self._linked = np.where(known[:, None, None], turn, self._turned)
-            self._unturned = np.where(known, _TOLD_TURN_RAD**2 + bent**2, self._unturned)
+            self._unturned = np.where(known, usual.autopilot.turn_rad**2 + bent**2, self._unturned)
 
     def chain(self, rotation: FloatArray, trust: FloatArray) -> Chain:
         """Return all equations about a trajectory (N, 3, 3) but those whose size is still to be found."""
@@ -144,7 +128,7 @@ class Smoother:
         chain.link(before, after, c, beyond, 1.0 / angle)
         before, after = _blank(count, 3), _blank(count, 3)
         before[:, :, BIAS], after[:, :, BIAS] = -unit, unit
-        chain.link(before, after, None, 0.0 * one, one / (_WANDER**2 * self.step[:, None]))
+        chain.link(before, after, None, 0.0 * one, one / (usual.gyro.bias_walk_radps**2 * self.step[:, None]))
         # v_1 - v_0 + [integral R f]x phi + integral R a = integral (R f + g)
         before, after, c = _blank(count, 3), _blank(count, 3), np.zeros((count, 3, _CONSTANTS))
         leaning = 0.5 * cross_matrices(pushed)
@@ -152,11 +136,13 @@ class Smoother:
         before[:, :, PHI] = after[:, :, PHI] = leaning
         chain.link(before, after, c, pushed + time * _GRAVITY, 1.0 / push)
         self._add_first(chain)
-        slow = _SCATTER_RAD if self.witness is None else self.witness.slow_rad
-        self._add_lasting(chain, _SLOW, slow, _SLOW_MEMORY_S)
+        slow = usual.autopilot.scatter_rad if self.witness is None else self.witness.slow_rad
+        self._add_lasting(chain, _SLOW, slow, usual.autopilot.slow_s)
         for state in _LEVEL:
-            self._add_lasting(chain, state, _LEVEL_RAD, _LEVEL_MEMORY_S)
-        self._add_lasting(chain, _FAST, _FAST_RAD, _FAST_MEMORY_S, _BEGINS_RAD)
+            self._add_lasting(chain, state, usual.autopilot.level_rad, usual.autopilot.level_s)
+        self._add_lasting(
+            chain, _FAST, usual.autopilot.fast_rad, usual.autopilot.fast_s, usual.autopilot.begins_rad
+        )
         if self.seen is not None:
             self._add_velocity(chain, self.seen, trust)
         if self._told is not None and self.witness is not None:
@@ -169,7 +155,7 @@ class Smoother:
         if self.seen is not None:
             return chain
         chain = chain.copy()
-        news = min(1.0, self.news_s / _VELOCITY_MEMORY_S)
+        news = min(1.0, self.news_s / usual.velocity.memory_s)
         J = _blank(self.knots.size, 3)
         J[:, :, _V] = np.eye(3)
         none = np.zeros((self.knots.size, 3))
@@ -179,8 +165,9 @@ class Smoother:
     def likeliest_bound(self, chain: Chain) -> float:
         """Choose the bound of an unseen velocity that the recording makes likeliest, m/s."""
         if self.seen is not None:
-            return USUAL_V_MPS
-        return min(_VELOCITIES_MPS, key=lambda v: self.bounded(chain, v).solve().deviance)
+            return float(usual.velocity.usual_mps)
+        tried: tuple[float, ...] = usual.velocity.tried_mps
+        return min(tried, key=lambda v: self.bounded(chain, v).solve().deviance)
 
     def full_trust(self) -> FloatArray:
         """Return the weights of a receiver's velocities (K, 3) before anything is known of them."""
@@ -191,7 +178,7 @@ class Smoother:
         if self.seen is None:
             return self.full_trust()
         off = np.abs(self._left(solved))
-        return np.asarray(1.0 / np.maximum(1.0, off / _OUTLIER))
+        return np.asarray(1.0 / np.maximum(1.0, off / usual.receiver.outlier))
 
     def excess(self, solved: Solved) -> float:
         """Return how much larger a receiver's errors are than stated, as a variance, at least 1."""
@@ -233,20 +220,22 @@ class Smoother:
         return np.asarray((self.seen.mean_mps + late - solved.states[:, _V]) / self.seen.sigma_mps)
 
     def _add_first(self, chain: Chain) -> None:
-        sigma = np.repeat([LOST_YAW_RAD, 0.0, _UNKNOWN_V_MPS], 3)
+        sigma = np.repeat([usual.yaw.lost_rad, 0.0, usual.receiver.unknown_mps], 3)
         sigma[BIAS] = self.bias.sigma
         none = np.zeros((1, sigma.size))
         chain.add(slice(1), np.eye(_STATES)[None, : sigma.size], None, none, none + sigma**-2.0)
-        offset = LOST_YAW_RAD if self.witness is None else self.witness.constant_rad
-        known = np.repeat([self._scale_sigma, _ACC_SIGMA_MPS2, _LATE_SIGMA_S, 0.0], [3, 3, 1, 4])
-        known[_OFFSET] = min(offset, LOST_YAW_RAD)
-        known[_TURNS] = np.hypot(self._scale_sigma, _WITNESS_LATE_S / TURN_MEMORIES_S)
+        offset = usual.yaw.lost_rad if self.witness is None else self.witness.constant_rad
+        known = np.repeat(
+            [self._scale_sigma, usual.accelerometer.bias_mps2, usual.receiver.late_s, 0.0], [3, 3, 1, 4]
+        )
+        known[_OFFSET] = min(offset, usual.yaw.lost_rad)
+        known[_TURNS] = np.hypot(self._scale_sigma, usual.autopilot.late_s / TURN_MEMORIES_S)
         chain.know(np.zeros(_CONSTANTS), known)
 
     def _add_velocity(self, chain: Chain, seen: Velocity, trust: FloatArray) -> None:
         J, c = _blank(self.knots.size, 3), np.zeros((self.knots.size, 3, _CONSTANTS))
         J[:, :, _V], c[:, :, _LATE] = np.eye(3), -seen.change_mps2
-        weight = min(1.0, self.news_s / _RECEIVER_MEMORY_S) / np.square(seen.sigma_mps)
+        weight = min(1.0, self.news_s / usual.receiver.memory_s) / np.square(seen.sigma_mps)
         chain.add(slice(None), J, c, seen.mean_mps, weight * trust)
 
     def _add_witness(
@@ -259,8 +248,9 @@ class Smoother:
         J, c = _blank(self.knots.size, 3), np.zeros((self.knots.size, 3, _CONSTANTS))
         J[:, :, PHI] = np.eye(3)
         turning = interpolated(self.clock, self.rate, self.knots)
-        late = _WITNESS_LATE_S * np.linalg.norm(turning, axis=1)
-        scatter = np.hypot(np.array([_LEVEL_SCATTER_RAD, _LEVEL_SCATTER_RAD, _SCATTER_RAD]), late[:, None])
+        late = usual.autopilot.late_s * np.linalg.norm(turning, axis=1)
+        scatter = np.repeat([usual.autopilot.level_scatter_rad, usual.autopilot.scatter_rad], [2, 1])
+        scatter = np.hypot(scatter, late[:, None])
         weights = min(1.0, self.news_s / KNOT_S) / scatter**2
         J[:, 0, _LEVEL[0]] = J[:, 1, _LEVEL[1]] = 1.0
         if math.isfinite(witness.constant_rad):

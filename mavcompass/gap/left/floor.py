@@ -16,8 +16,6 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.hypothesis import Fit, Mask
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.replay.noise import (
-    USUAL_SCATTER_MGAUSS,
-    WORST_SCATTER_MGAUSS,
     Noise,
     SensorNoise,
     estimate_noise,
@@ -28,22 +26,9 @@ from mavcompass.gap.replay.noise import (
 )
 from mavcompass.gap.replay.nominal import Replay, level_mgauss
 from mavcompass.gap.replay.nuisance import STATED, Prior, Trust
-from mavcompass.gap.tables import Kind
+from mavcompass.gap.tables import Kind, usual
 
 _LEAST = {"mag": 1e-3, "acc": 1e-5, "gyro": 1e-6}
-_STATED_MGAUSS, _LEAST_IN_FLIGHT_MGAUSS = 0.3, 0.8
-_REFERENCE_DOUBT_RAD = {
-    "columns": math.radians(0.2),
-    "fused": math.radians(0.4),
-    "gps-yaw": math.radians(0.5),
-    "gyro": math.radians(0.4),
-    "attitude": math.radians(1.0),
-}
-_DOUBT_LASTS_S = 5.0
-# How much of the doubt shows along the field, where only the calibration and what nobody models is in doubt,
-# and across it.
-_ACROSS = np.array([0.6, 1.0, 1.0])
-_TIME_DOUBT_S = {"telemetry": 0.03, "direct": 0.01}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +74,7 @@ def first_noise(replay: Replay) -> Noise:
             continue
         measured, ideal = group_values(replay.measured, group), group_values(replay.signals.reading, group)
         sigma = rough_sigma(measured - ideal, replay.valid)
-        least = max(_least_sigma(replay, group), _STATED_MGAUSS if group == "mag" else 0.0)
+        least = max(_least_sigma(replay, group), usual.compass.stated_mgauss if group == "mag" else 0.0)
         noise[group] = white(np.maximum(np.nan_to_num(sigma, nan=least), least))
     return noise
 
@@ -117,7 +102,7 @@ def _least_sigma(replay: Replay, group: str) -> float:
     """Return the least noise that is believed: of a vehicle's own attitude no model is exact to less."""
     if group != "mag":
         return _LEAST[group]
-    own = 0.0 if replay.reference.kind == "columns" else _LEAST_IN_FLIGHT_MGAUSS
+    own = 0.0 if replay.reference.kind == "columns" else usual.compass.least_in_flight_mgauss
     return max(_LEAST[group], replay.resolution_mgauss, own)
 
 
@@ -219,19 +204,21 @@ def from_recording(replay: Replay) -> Floor:
     scatter = noise["mag"].sigma
     world = replay.signals.stimulus.field_ned_mgauss[0]
     total, level = float(np.linalg.norm(world)), level_mgauss(replay)
-    doubt = max(_REFERENCE_DOUBT_RAD[replay.reference.kind], replay.reference.tilt_sigma_rad)
+    doubt = max(getattr(usual.doubt, f"{replay.reference.kind}_rad"), replay.reference.tilt_sigma_rad)
     white_rms = math.sqrt(float(np.mean(scatter**2)))
-    usual = white_rms if white_rms < WORST_SCATTER_MGAUSS else USUAL_SCATTER_MGAUSS
+    healthy = white_rms < usual.compass.worst_scatter_mgauss
+    scattered = white_rms if healthy else usual.compass.scatter_mgauss
     step = float(np.median(np.diff(replay.time_s)))
-    rho = math.exp(-step / _DOUBT_LASTS_S)
+    rho = math.exp(-step / usual.doubt.lasts_s)
     channels = field_channels(replay)
     # A small random rotation moves the field by doubt |B| in the two directions across it.
-    slow = np.full(3, doubt * total * math.sqrt(2.0 / 3.0)) if channels is None else doubt * total * _ACROSS
+    across = np.full(3, math.sqrt(2.0 / 3.0)) if channels is None else np.array(usual.doubt.across)
+    slow = doubt * total * across
     each = [
         wandering(np.full(3, white_rms) if channels is not None else scatter, float(v), rho) for v in slow
     ]
     sigma = np.array([one[0][c] for c, one in enumerate(each)])
-    late = _TIME_DOUBT_S["telemetry" if replay.telemetry else "direct"]
+    late = usual.age.doubt_telemetry_s if replay.telemetry else usual.age.doubt_direct_s
     whole = np.hypot(white_rms, slow)
     mag = SensorNoise(
         np.full((1, 3), rho),
@@ -250,8 +237,8 @@ def from_recording(replay: Replay) -> Floor:
     cured = 0.0 if trust is None else math.hypot(rms(doubted[:3]), rms(doubted[3:]) * total)
     return Floor(
         {**noise, "mag": mag},
-        math.hypot(usual, float(np.sqrt(np.mean(slow**2))), timing, cured),
-        math.degrees(math.hypot(usual, doubt * total, timing, cured) / level),
+        math.hypot(scattered, float(np.sqrt(np.mean(slow**2))), timing, cured),
+        math.degrees(math.hypot(scattered, doubt * total, timing, cured) / level),
         np.zeros((0, 3)),
         False,
         prior_of(replay, trust),

@@ -11,9 +11,10 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.hypothesis import Fit, least_gain
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.left.floor import Floor
-from mavcompass.gap.replay.noise import USUAL_SCATTER_MGAUSS, WORST_SCATTER_MGAUSS, Noise, estimate_noise
+from mavcompass.gap.replay.noise import Noise, estimate_noise
 from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.result import Cause
+from mavcompass.gap.tables import usual
 from mavcompass.gap.traces.scattered import quiet_doubt, quiet_scatter
 from mavcompass.simulation.effects import detected_by, get
 
@@ -95,8 +96,8 @@ def find_scatter(
         candidates.append(Scatter(late_times, math.sqrt(late_size), late / inflation))
     if not floor.measured and more in allowed:
         sigma = quiet_scatter(problem.replay.readings)
-        if sigma > WORST_SCATTER_MGAUSS:
-            size = math.sqrt(sigma**2 - USUAL_SCATTER_MGAUSS**2)
+        if sigma > usual.compass.worst_scatter_mgauss:
+            size = math.sqrt(sigma**2 - usual.compass.scatter_mgauss**2)
             doubt = 0.5 * quiet_doubt(problem.replay.readings) * sigma**2 / size
             candidates.append(Scatter(more, size, float(error.size), doubt))
     # Less than the floor itself is no gap, however surely neighbours scatter.

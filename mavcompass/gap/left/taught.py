@@ -44,6 +44,7 @@ from mavcompass.gap.replay.nuisance import (
     Trust,
 )
 from mavcompass.gap.replay.testable import untestable_effects
+from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.effect import FREQUENCY, LIMIT, Effect
 
 _FOLD_WIDENING, _MOST_FOLDED = 4.0, 4
@@ -53,21 +54,23 @@ _GAP_P = 0.002
 _DOMINATED = 1.6
 # One good baseline in some hundreds is flagged by chance: it must not cost the diagnosis its sharpness.
 _REPRESENTATIVE_P = 1e-5
-# How much the same vehicle differs from one recording to the next, in the nuisances' own units.
-_FROM_DAY_TO_DAY = {WORLD_FIELD.id: 1.0, TELEMETRY_AGE: 0.007, IRON_MATRIX: 0.002, IRON_OFFSET: 0.7}
+# How much the same vehicle differs from one recording to the next.
+_FROM_DAY_TO_DAY = {
+    WORLD_FIELD.id: usual.place.daily_mgauss,
+    TELEMETRY_AGE: usual.age.daily_s,
+    IRON_MATRIX: usual.compass.daily_matrix,
+    IRON_OFFSET: usual.compass.daily_offset_mgauss,
+}
 # A reading of some age waits for its message, for at most about twice that age.
 _MOST_WAITING = 0.5
 # Two waits never differ by more than a step of the messages: a normal of half their variance reaches that at
 # 3.5 sigma, one of all of it at 2.4, and would take a lag of two steps for a wait.
 _BOUNDED = math.sqrt(0.5)
 _FEWEST_READINGS = 10
-_SAME_PLACE_M = 1000.0
-DISCREPANCY_MGAUSS = 1.2
 _UNMEASURED, _LEVEL_MORE = 3.0, 1.25
 # What another iron must explain beyond the calibration in force, and how far that may be strained (squared
 # sigmas).
 _MATERIAL_MGAUSS, _MATERIAL_SHARE, _MOST_STRAIN = 1.5, 0.5, 60.0
-_WITNESS_DAILY_RAD = math.radians(1.0)
 
 
 def from_baseline(replay: Replay, baseline: Replay, effects: Collection[Effect]) -> Floor:
@@ -101,8 +104,8 @@ def from_baseline(replay: Replay, baseline: Replay, effects: Collection[Effect])
         noise["mag"], larger = _grown(noise["mag"], law, baseline, replay)
         # The error of the model itself: attitudes and times of another flight are off in another way.
         level = level_mgauss(replay)
-        field_rms = math.hypot(field_rms * larger, DISCREPANCY_MGAUSS)
-        heading_rms = math.hypot(heading_rms * larger, math.degrees(DISCREPANCY_MGAUSS / level))
+        field_rms = math.hypot(field_rms * larger, usual.compass.discrepancy_mgauss)
+        heading_rms = math.hypot(heading_rms * larger, math.degrees(usual.compass.discrepancy_mgauss / level))
         # Scatter that is alike in all axes is scatter of the heading too, whatever the baseline's turns
         # showed.
         heading_rms = max(heading_rms, math.degrees(_LEVEL_MORE * field_rms / level))
@@ -226,7 +229,7 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust:
             # A witness of the yaw is off by the same constant as it was in the baseline.
             mean, precision = nuisance.mean.copy(), nuisance.precision.copy()
             mean[0] = theta[0]
-            variance = _FOLD_WIDENING * float(fit.covariance[first, first]) + _WITNESS_DAILY_RAD**2
+            variance = _FOLD_WIDENING * float(fit.covariance[first, first]) + usual.autopilot.daily_rad**2
             precision[0, 0] = 1.0 / variance
             nuisance = replace(nuisance, mean=mean, precision=precision)
         taught.append(nuisance)
@@ -297,4 +300,4 @@ def _same_place(replay: Replay, baseline: Replay) -> bool:
     if replay.place is None or baseline.place is None:
         return True
     (lat, lon, _), (there_lat, there_lon, _) = replay.place, baseline.place
-    return math.hypot(*north_east_m(there_lat, there_lon, lat, lon)) < _SAME_PLACE_M
+    return math.hypot(*north_east_m(there_lat, there_lon, lat, lon)) < usual.place.same_m

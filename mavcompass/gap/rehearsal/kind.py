@@ -16,8 +16,8 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude.reference import Choice
 from mavcompass.gap.rehearsal.result import Stored
 from mavcompass.gap.replay.nominal import Replay, replay
-from mavcompass.gap.replay.whereabouts import ANOMALY_SHARE
 from mavcompass.gap.result import Belief, Cause, Diagnosis
+from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects import get
 from mavcompass.simulation.physics.signals import Stimulus
 from mavcompass.track import Track
@@ -188,7 +188,7 @@ def _told(belief: Belief, replayed: Replay, earth: EarthField | None) -> Belief:
     Where a vehicle does not turn, or its place is unknown, the field and the vehicle's offset cannot be told
     apart.
     """
-    sigma = ANOMALY_SHARE * float(np.linalg.norm(replayed.signals.stimulus.field_ned_mgauss[0]))
+    sigma = usual.place.anomaly * float(np.linalg.norm(replayed.signals.stimulus.field_ned_mgauss[0]))
     if math.sqrt(float(np.diag(belief.covariance)[:3].max())) < _TOLD * sigma:
         return belief
     gain = belief.covariance[:, :3] @ np.linalg.inv(belief.covariance[:3, :3] + sigma**2 * np.eye(3))

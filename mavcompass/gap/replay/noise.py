@@ -21,9 +21,6 @@ _MEMORIES, _FEWEST_MEMORIES = (10, 20, 40, 80, 160, 320), 12
 _GAINS = (0.01, 0.02, 0.04, 0.08, 0.15, 0.3)
 # Readings that a recursion filters at once.
 _STRETCH = 32
-# Data sheets state 2 to 4 mG (HMC5883L, QMC5883L, IST8310); no healthy compass scatters by more than ten.
-USUAL_SCATTER_MGAUSS = 4.0
-WORST_SCATTER_MGAUSS = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

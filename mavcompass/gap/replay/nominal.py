@@ -27,8 +27,6 @@ from mavcompass.gap.replay.integrity import Readings, Trace
 from mavcompass.gap.replay.noise import SensorNoise
 from mavcompass.gap.replay.nuisance import (
     AGE,
-    AGE_SIGMA_S,
-    USUAL_AGE_S,
     WORLD_FIELD,
     KnownIron,
     Nuisance,
@@ -39,12 +37,12 @@ from mavcompass.gap.replay.nuisance import (
 )
 from mavcompass.gap.replay.rows import averaged, compass_rows, middles, shared_period_s, swing, unbroken
 from mavcompass.gap.replay.whereabouts import (
-    UNKNOWN_SIGMA_MGAUSS,
     goes_about,
     position_of,
     present_in,
     world_field,
 )
+from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
 from mavcompass.simulation.effects.effect import Group, Signals
 from mavcompass.simulation.effects.sampling import thinned
@@ -196,7 +194,7 @@ def replay(
     present = present_in(stimulus, reference, about, reference.known & usable)
     if not present & {"turning", "tilt"}:
         # A constant offset in body axes is then a constant field: its size can be anything.
-        sigma = np.maximum(sigma, UNKNOWN_SIGMA_MGAUSS)
+        sigma = np.maximum(sigma, usual.place.unknown_mgauss)
         field_notes = (*field_notes, _NO_TURN)
     groups: tuple[Group, ...] = ("mag",)
     # What was before the recording is not known, and what is late or smoothed says it at first.
@@ -225,7 +223,7 @@ def replay(
         resolution_mgauss=track.compasses[instance].quantum_mgauss / math.sqrt(12.0),
         telemetry=rows.telemetry,
         trace=rows.trace,
-        field_known=sigma[0] < UNKNOWN_SIGMA_MGAUSS,
+        field_known=sigma[0] < usual.place.unknown_mgauss,
         notes=(*track.notes, *reference.notes, *field_notes, *motion_note),
         corrected_mgauss=corrected,
         iron=iron,
@@ -326,7 +324,7 @@ def _nuisances(
     valid: NDArray[np.bool_],
     late_s: float,
 ) -> tuple[Nuisance, ...]:
-    field_unknown = bool(field_sigma[0] >= UNKNOWN_SIGMA_MGAUSS)
+    field_unknown = bool(field_sigma[0] >= usual.place.unknown_mgauss)
     found = [Nuisance.of(WORLD_FIELD, np.zeros(3), field_sigma)]
     # With an unknown field, north is where the field points: a constant yaw error means nothing.
     constant = 0.0 if field_unknown else reference.yaw_sigma_rad
@@ -340,5 +338,5 @@ def _nuisances(
         effect = reference_attitude_error(reference.curves_rad, reference.with_yaw)
         found.append(Nuisance.of(effect, mean, sigma))
     if telemetry:
-        found.append(Nuisance.of(AGE, np.array([USUAL_AGE_S - late_s]), np.array([AGE_SIGMA_S])))
+        found.append(Nuisance.of(AGE, np.array([usual.age.usual_s - late_s]), np.array([usual.age.sigma_s])))
     return tuple(found)

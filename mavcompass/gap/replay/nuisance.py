@@ -27,8 +27,6 @@ from mavcompass.simulation.effects.effect import Effect, Memory, Parameter, Rng,
 from mavcompass.track import MagSeries
 
 _TURNS = 6
-# How old a reading usually is when an autopilot reports it, and how much that differs.
-USUAL_AGE_S, AGE_SIGMA_S = 0.06, 0.05
 REFERENCE_YAW, TELEMETRY_AGE = "reference yaw", "telemetry age"
 IRON_MATRIX, IRON_OFFSET = "iron matrix in force", "iron offset in force"
 _LEAST_VARIATION = 0.2

@@ -18,7 +18,7 @@ from mavcompass.correction import IDENTITY
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
 from mavcompass.gap.replay.integrity import Trace, coarse_step, inspect
-from mavcompass.gap.replay.nuisance import AGE_SIGMA_S, USUAL_AGE_S
+from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
 from mavcompass.simulation.effects.sampling import at_times
 from mavcompass.track import MagSeries, Series, Track, uncut
@@ -297,7 +297,7 @@ def swing(
         follows = np.linalg.solve(some.T @ some + least, some.T @ swings[usable])
         left = np.sum((swings[usable] - some @ follows) ** 2, axis=0)
         unlikely = usable.sum() * np.log(np.maximum(left, 1e-12))
-        unlikely += ((tried_s - USUAL_AGE_S) / AGE_SIGMA_S) ** 2 / 3.0
+        unlikely += ((tried_s - usual.age.usual_s) / usual.age.sigma_s) ** 2 / 3.0
         # An eddy current makes each axis late by its own time.
         better = unlikely < likeliest
         found[:, better], likeliest[better] = (turns @ follows)[:, better], unlikely[better]

@@ -13,22 +13,17 @@ from mavcompass.frames import FloatArray, rotate
 from mavcompass.gap.attitude.receiver import local_position
 from mavcompass.gap.attitude.reference import Reference
 from mavcompass.gap.replay.rows import FEWEST_ROWS
+from mavcompass.gap.tables import usual
 from mavcompass.simulation.physics.signals import Stimulus
 from mavcompass.track import Series, Track, uncut
 
-# Standard deviations of a path beside which the errors of a position are small.
-_LEAST_PATH_M, _LEAST_RECEIVED_PATH_M = 0.05, 1.5
+# The standard deviation of a path beside which the errors of a measured position are small.
+_LEAST_PATH_M = 0.05
 _TURNING_RAD = math.radians(25.0)
 _TILT_RAD = math.radians(4.0)
 _LEAST_CLIMB_M = 4.0
 # What a load must at least vary by to be told from everything else that happens meanwhile.
 _LEAST_RANGE = {"current": 0.5, "throttle": 0.05, "temperature": 3.0}
-UNKNOWN_SIGMA_MGAUSS = 300.0
-# What rocks and buildings add to the world model, as a share of the field.
-ANOMALY_SHARE = 0.01
-_LOCAL_SIGMA_MGAUSS = 0.7
-_STEADY_MGAUSS = 3.0
-_AGREES_MGAUSS = 8.0
 _YEAR_WHERE_UNKNOWN = 2026.5
 
 
@@ -48,7 +43,7 @@ def goes_about(position: Series | None, reference: Reference) -> bool:
     spread = np.nanstd(position.values, axis=0)
     if reference.kind == "columns":
         return float(spread.max()) > _LEAST_PATH_M
-    return float(spread.max()) > _LEAST_RECEIVED_PATH_M
+    return float(spread.max()) > usual.receiver.path_m
 
 
 def present_in(
@@ -94,11 +89,11 @@ def world_field(
             note = "The vehicle's other compasses agree with the world model; they give the local field."
             return (
                 refined,
-                np.array([_LOCAL_SIGMA_MGAUSS, earth.sigma_mgauss[1], _LOCAL_SIGMA_MGAUSS]),
+                np.array([usual.others.local_mgauss, earth.sigma_mgauss[1], usual.others.local_mgauss]),
                 (note,),
             )
         # Beside a laboratory's attitude what rocks and buildings add shows itself, and is judged as a cause.
-        share = 0.0 if reference.kind == "columns" else ANOMALY_SHARE
+        share = 0.0 if reference.kind == "columns" else usual.place.anomaly
         anomaly = share * float(np.linalg.norm(earth.vector_mgauss))
         return earth.vector_mgauss, np.hypot(np.asarray(earth.sigma_mgauss), anomaly), ()
     rows = reference.known & np.isfinite(raw).all(axis=1)
@@ -112,7 +107,7 @@ def world_field(
         "The recording does not say where it was made: the field is estimated from it, so that the field's"
         " intensity, inclination and declination cannot be judged."
     )
-    return field, np.full(3, UNKNOWN_SIGMA_MGAUSS), (note,)
+    return field, np.full(3, usual.place.unknown_mgauss), (note,)
 
 
 def _measured_by_others(
@@ -134,9 +129,12 @@ def _measured_by_others(
         )
         parts = np.array([np.median(np.hypot(world[:, 0], world[:, 1])), np.median(world[:, 2])])
         spread = 1.4826 * np.median(np.abs(np.hypot(world[:, 0], world[:, 1]) - parts[0]))
-        if spread < _STEADY_MGAUSS and np.abs(parts - (level, model[2])).max() < _AGREES_MGAUSS:
+        if (
+            spread < usual.others.steady_mgauss
+            and np.abs(parts - (level, model[2])).max() < usual.others.agree_mgauss
+        ):
             seen.append(parts)
-    if len(seen) < 2 or float(np.ptp(np.array(seen), axis=0).max()) > 2.0 * _LOCAL_SIGMA_MGAUSS:
+    if len(seen) < 2 or float(np.ptp(np.array(seen), axis=0).max()) > 2.0 * usual.others.local_mgauss:
         return None
     horizontal, down = np.mean(seen, axis=0)
     return np.array([model[0] * horizontal / level, model[1] * horizontal / level, down])

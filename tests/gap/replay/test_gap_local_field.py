@@ -12,7 +12,8 @@ import pytest
 from mavcompass.earth_field import earth_field
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
-from mavcompass.gap.replay.whereabouts import UNKNOWN_SIGMA_MGAUSS, world_field
+from mavcompass.gap.replay.whereabouts import world_field
+from mavcompass.gap.tables import usual
 from mavcompass.track import MagSeries, Series, Track
 
 N = 600
@@ -103,6 +104,6 @@ def test_without_a_place_the_field_is_its_own_median_in_the_world() -> None:
     north, east, z = MODEL.vector_mgauss
     assert math.hypot(field[0], field[1]) == pytest.approx(math.hypot(north, east) + 20.0, abs=2.0)
     assert field[2] == pytest.approx(z - 30.0, abs=2.0)
-    assert sigma.tolist() == [UNKNOWN_SIGMA_MGAUSS] * 3 and "cannot be judged" in note
+    assert sigma.tolist() == [usual.place.unknown_mgauss] * 3 and "cannot be judged" in note
     with pytest.raises(BadRecording, match="never speak at the same time"):
         found(recording(place=False), own, known=0)
