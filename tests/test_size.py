@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 # At most so many lines now, and where they should get to. A number here falls with its room; who raises one
 # says why in the commit.
 LINES = {
-    "package gap": (14_540, 10_500),
+    "package gap": (14_520, 10_500),
     "package simulation": (7_840, 5_800),
     "package attitude calibration heading": (8_930, 5_400),
     "package vehicle messages enums.py": (7_660, 5_200),
@@ -18,7 +18,7 @@ LINES = {
     "package service": (5_300, 4_100),
     "package logs": (4_450, 3_600),
     "package cli": (4_050, 2_900),
-    "package": (66_160, 46_500),
+    "package": (66_140, 46_500),
     "tests": (43_300, 29_000),
     "scripts": (8_610, 4_400),
 }

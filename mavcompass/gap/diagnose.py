@@ -29,7 +29,6 @@ from mavcompass.track import Track
 
 Replayed = dict[tuple[int, int, float, bool], tuple[Track, Replay]]
 
-_WITHOUT_WITNESS = 1.5
 _THOROUGH = 3.0
 
 
@@ -111,9 +110,6 @@ def examine(
     # 3. Floor
     progress("measuring the floor")
     floor = from_recording(now) if before is None else from_baseline(now, before, every)
-    if faults:
-        # The autopilot's attitude is made of the same sensors: a witness less than in the baseline.
-        floor = floor.larger(_WITHOUT_WITNESS)
 
     # 4. Traces
     traces, now = find_traces(

@@ -7,6 +7,7 @@ attitude and times; the verdict is more careful then.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,6 +28,8 @@ from mavcompass.gap.replay.noise import (
 from mavcompass.gap.replay.nominal import Replay, level_mgauss
 from mavcompass.gap.replay.nuisance import STATED, Prior, Trust
 from mavcompass.gap.tables import Kind, usual
+from mavcompass.simulation.effects.effect import Group
+from mavcompass.simulation.physics.signals import Reading
 
 _LEAST = {"mag": 1e-3, "acc": 1e-5, "gyro": 1e-6}
 
@@ -56,46 +59,33 @@ class Floor:
     measured: bool = False
     trust: Trust | None = None
 
-    def larger(self, factor: float) -> Floor:
-        """Return a floor that lies higher."""
-        return replace(
-            self,
-            field_rms_mgauss=self.field_rms_mgauss * factor,
-            heading_rms_deg=self.heading_rms_deg * factor,
-        )
-
 
 def first_noise(replay: Replay) -> Noise:
     """State a first noise from the scatter between neighbouring readings."""
-    noise: Noise = {}
-    for group in replay.groups:
-        if group in replay.doubtful:
-            noise[group] = replay.doubtful[group]
-            continue
-        measured, ideal = group_values(replay.measured, group), group_values(replay.signals.reading, group)
-        sigma = rough_sigma(measured - ideal, replay.valid)
+
+    def stated(group: Group, error: FloatArray) -> SensorNoise:
         least = max(_least_sigma(replay, group), usual.compass.stated_mgauss if group == "mag" else 0.0)
-        noise[group] = white(np.maximum(np.nan_to_num(sigma, nan=least), least))
-    return noise
+        sigma = rough_sigma(error, replay.valid)
+        return white(np.maximum(np.nan_to_num(sigma, nan=least), least))
+
+    return _noise(replay, replay.signals.reading, stated)
 
 
 def measured_noise(problem: Problem, fit: Fit) -> Noise:
     """Estimate the noise from what a fit leaves."""
-    predicted = problem.predict(fit)
     replay = problem.replay
-    noise: Noise = {}
-    for group in replay.groups:
-        if group in replay.doubtful:
-            noise[group] = replay.doubtful[group]
-            continue
-        error = group_values(replay.measured, group) - group_values(predicted, group)
-        noise[group] = estimate_noise(
-            error,
-            replay.valid,
-            _least_sigma(replay, group),
-            field_channels(replay) if group == "mag" else None,
-        )
-    return noise
+
+    def estimated(group: Group, error: FloatArray) -> SensorNoise:
+        channels = field_channels(replay) if group == "mag" else None
+        return estimate_noise(error, replay.valid, _least_sigma(replay, group), channels)
+
+    return _noise(replay, problem.predict(fit), estimated)
+
+
+def _noise(replay: Replay, made: Reading, of: Callable[[Group, FloatArray], SensorNoise]) -> Noise:
+    """Collect the noise of each sensor, of what it was measured beside what is made of it."""
+    errors = {g: group_values(replay.measured, g) - group_values(made, g) for g in replay.groups}
+    return {g: replay.doubtful[g] if g in replay.doubtful else of(g, errors[g]) for g in replay.groups}
 
 
 def _least_sigma(replay: Replay, group: str) -> float:

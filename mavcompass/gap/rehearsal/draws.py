@@ -174,7 +174,7 @@ class Draws:
             # What is known of all the rest once the motors are known to make no field.
             shared = belief.covariance[:, MOTOR] @ np.linalg.inv(belief.covariance[MOTOR, MOTOR])
             values = values - shared @ values[MOTOR]
-        matrix = kind.matrix @ (np.eye(3) + values[MATRIX].reshape(3, 3))
+        matrix = kind.iron.matrix @ (np.eye(3) + values[MATRIX].reshape(3, 3))
         # A turn of the compass in the vehicle shows in no turn of both: it is the mounting's, see (M1).
         matrix = 0.5 * (matrix + matrix.T)
         for places, probability in zip(_CROSS, self._crossed[which], strict=True):
@@ -184,9 +184,9 @@ class Draws:
         return Individual(
             field_ned_mgauss=kind.field_ned_mgauss + values[:3],
             matrix=matrix,
-            offset_mgauss=kind.offset_mgauss + values[OFFSET],
-            motor_mgauss=kind.motor_mgauss + values[MOTOR],
-            known_motor_mgauss=kind.motor_mgauss,
+            offset_mgauss=kind.iron.offset_mgauss + values[OFFSET],
+            motor_mgauss=kind.iron.motor_mgauss + values[MOTOR],
+            known_motor_mgauss=kind.iron.motor_mgauss,
             settings=tuple(s for s in effects_in(belief, values) if s.effect.kind in _ACTING)
             + tuple(self._faults(rng)),
             heading_rad=float(rng.uniform(-math.pi, math.pi)),
@@ -221,7 +221,7 @@ def _crossed(kind: Kind, belief: Belief) -> list[float]:
     Before anything is known a quarter of the compasses have some, of a certain size; what the recording
     leaves unknown of them is no reason to believe in those that it does not show.
     """
-    matrix = kind.matrix @ (np.eye(3) + belief.mean[MATRIX].reshape(3, 3))
+    matrix = kind.iron.matrix @ (np.eye(3) + belief.mean[MATRIX].reshape(3, 3))
     sigma = np.sqrt(np.diag(belief.covariance)[MATRIX]).reshape(3, 3)
     out = []
     for places in _CROSS:
@@ -241,7 +241,11 @@ def _loaded(kind: Kind, belief: Belief) -> float:
     the error of all.
     """
     covariance, mean = belief.covariance[MOTOR, MOTOR], belief.mean[MOTOR]
-    if "motor_current" in belief.effects or kind.motor_mgauss.any() or np.linalg.matrix_rank(covariance) < 3:
+    if (
+        "motor_current" in belief.effects
+        or kind.iron.motor_mgauss.any()
+        or np.linalg.matrix_rank(covariance) < 3
+    ):
         return 1.0
     log_odds = math.log(_MOTORS_BEFORE / (1.0 - _MOTORS_BEFORE))
     log_odds += 0.5 * float(mean @ np.linalg.solve(covariance, mean))

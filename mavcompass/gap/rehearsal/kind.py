@@ -9,13 +9,13 @@ import numpy as np
 
 from mavcompass.calibration.observation import Dwell, dwell_between, rolls, turn_record
 from mavcompass.calibration.observation.turning import GYRO_SCALE_SIGMA, TurnRecord
-from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import BadRecording, PoorCalibration
 from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude.reference import Choice
 from mavcompass.gap.rehearsal.result import Stored
 from mavcompass.gap.replay.nominal import Replay, replay
+from mavcompass.gap.replay.nuisance import KnownIron
 from mavcompass.gap.result import Belief, Cause, Diagnosis
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects import get
@@ -107,8 +107,7 @@ class Kind:
     Attributes:
         beliefs: what may be wrong with it, and with the place. faults: causes that are told apart from these
             (accelerometer, gyro).
-        in_force: the correction in force; matrix (3, 3), offset_mgauss (3,) and motor_mgauss (3,): the iron
-            that it cures.
+        iron: what the correction in force cures.
         field_ned_mgauss: the field (3,) to which a belief adds. earth: the field as a calibration has it;
             None where the place is unknown.
         stances: how it stands. still: the loads and places that go with them; used: those of all readings.
@@ -117,10 +116,7 @@ class Kind:
 
     beliefs: tuple[Belief, ...]
     faults: tuple[Cause, ...]
-    in_force: FieldCorrection
-    matrix: FloatArray
-    offset_mgauss: FloatArray
-    motor_mgauss: FloatArray
+    iron: KnownIron
     field_ned_mgauss: FloatArray
     earth: EarthField | None
     stances: tuple[Dwell, ...]
@@ -150,7 +146,7 @@ def kind_of(track: Track, diagnosis: Diagnosis | Stored, reference: Choice = "au
             "The recording has no gyro: how surely this vehicle's turns are known cannot be told.",
             "Record the angular rate too (RAW_IMU, SCALED_IMU or IMU messages).",
         )
-    stimulus, iron = replayed.signals.stimulus, replayed.iron
+    stimulus = replayed.signals.stimulus
     field = np.asarray(stimulus.field_ned_mgauss[0])
     level = float(np.hypot(field[0], field[1]))
     stances = stances_of(track, diagnosis.compass, record, level, float(field[2]))
@@ -161,10 +157,7 @@ def kind_of(track: Track, diagnosis: Diagnosis | Stored, reference: Choice = "au
     return Kind(
         beliefs=tuple(told),
         faults=tuple(c for c in diagnosis.causes if c.effect not in named and get(c.effect).kind == "mean"),
-        in_force=iron.correction,
-        matrix=iron.matrix,
-        offset_mgauss=iron.offset_mgauss,
-        motor_mgauss=iron.motor_mgauss,
+        iron=replayed.iron,
         field_ned_mgauss=field,
         earth=earth,
         stances=stances,

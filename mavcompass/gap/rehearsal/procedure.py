@@ -89,9 +89,9 @@ def _is_sure(fit: FourPositionsResult) -> bool:
 def corrected_in_force(kind: Kind, protocol: Protocol) -> FieldCorrection:
     """Return the correction that a calibration starts from, with the protocol's motor compensation."""
     if protocol.motor_mgauss is None:
-        return kind.in_force
-    x, y, z = (-kind.in_force.matrix @ np.array(protocol.motor_mgauss)).tolist()
-    return replace(kind.in_force, motor_mgauss=(x, y, z), motor_source="current")
+        return kind.iron.correction
+    x, y, z = (-kind.iron.correction.matrix @ np.array(protocol.motor_mgauss)).tolist()
+    return replace(kind.iron.correction, motor_mgauss=(x, y, z), motor_source="current")
 
 
 def loads(stimulus: Stimulus, correction: FieldCorrection) -> FloatArray:
@@ -109,7 +109,7 @@ def observed(
     """Let a vehicle visit its positions; return them as the calibration observes them."""
     count = protocol.positions + len(protocol.leaning_rad)
     stimulus = _motion(kind, individual, protocol, count, without)
-    chain = individual.chain(without, loads(stimulus, kind.in_force))
+    chain = individual.chain(without, loads(stimulus, kind.iron.correction))
     said = chain.run(Signals(stimulus, ideal(stimulus)), None).reading
     # The compensation in force stays in what a calibration sees.
     compensated = np.linalg.solve(in_force.matrix, in_force.motor_field(loads(stimulus, in_force)).T).T
@@ -246,7 +246,7 @@ def heading_errors_deg(
         position_ned_m=moment.position_ned_m,
         **{load: getattr(moment, load) for load in ("current_a", "throttle", "temperature_degc", "motors")},
     )
-    chain = individual.chain(without, loads(stimulus, kind.in_force))
+    chain = individual.chain(without, loads(stimulus, kind.iron.correction))
     raw = chain.run(Signals(stimulus, ideal(stimulus)), None).reading.mag_mgauss[_READINGS - 1 :: _READINGS]
     load = loads(stimulus, correction)[_READINGS - 1 :: _READINGS]
     level = rotate(_LEVELLING, correction.apply(raw, None if correction.motor_source == "none" else load))

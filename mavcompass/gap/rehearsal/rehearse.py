@@ -174,7 +174,7 @@ def _protocols(kind: Kind) -> Iterator[tuple[str, Protocol]]:
         Protocol(leaning_rad=leaning),
     )
     needs = {need for effect in kind.effects for need in get(effect).needs}
-    if needs & _LOADS or np.any(kind.motor_mgauss):
+    if needs & _LOADS or np.any(kind.iron.motor_mgauss):
         yield "motors off while calibrating (by hand: --motion hand)", Protocol(motors_off=True)
     if "motor_current" in kind.effects:
         x, y, z = _motor_mean(kind).tolist()
@@ -192,7 +192,7 @@ def _motor_mean(kind: Kind) -> np.ndarray:
     """Return the motors' raw field per ampere, (3,), as the likeliest explanation with it has it."""
     best = max((b for b in kind.beliefs if "motor_current" in b.effects), key=lambda b: b.weight)
     at = best.places[best.effects.index("motor_current")]
-    return kind.motor_mgauss + best.mean[MOTOR] + best.mean[at : at + 3]
+    return kind.iron.motor_mgauss + best.mean[MOTOR] + best.mean[at : at + 3]
 
 
 def _notes(kind: Kind, diagnosis: Diagnosis | Stored) -> Iterator[str]:
