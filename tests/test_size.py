@@ -14,11 +14,11 @@ LINES = {
     "package simulation": (7_840, 5_800),
     "package attitude calibration heading": (8_930, 5_400),
     "package vehicle messages enums.py": (7_660, 5_200),
-    "package procedure": (6_250, 4_400),
+    "package procedure": (6_260, 4_400),
     "package service": (5_300, 4_100),
     "package logs": (4_450, 3_600),
     "package cli": (4_050, 2_900),
-    "package": (66_140, 46_500),
+    "package": (66_150, 46_500),
     "tests": (43_300, 29_000),
     "scripts": (8_610, 4_400),
 }

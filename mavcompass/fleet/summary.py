@@ -118,6 +118,12 @@ class Summary:
     population: Distribution | None = None
 
     @property
+    def trend(self) -> tuple[float, int] | None:
+        """Return the median drift in 30 days, degrees, and of how many compasses; None where unknown."""
+        rates = [r for v in self.vehicles for h in v.histories if (r := h.rate_deg_per_30_days) is not None]
+        return (median(rates), len(rates)) if rates else None
+
+    @property
     def look_first(self) -> tuple[Vehicle, ...]:
         """Return the vehicles that give a reason to look at them, worst first."""
         return tuple(vehicle for vehicle in self.vehicles if vehicle.why)
