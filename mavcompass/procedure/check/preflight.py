@@ -7,7 +7,7 @@ safety rules of a calibration hold for it.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -72,7 +72,7 @@ def check(
     desk = yield from Desk.open(context, dialect_for, settings.system)
     checker, rates = _Checker(desk, settings), MessageRates()
     try:
-        yield from rates.ask(context, checker.wanted_rates())
+        checker.granted = yield from rates.ask(context, checker.wanted_rates())
         yield from checker.look_at_rest()
         if settings.turn != "none" and checker.knows_level:
             yield from checker.turn()
@@ -95,6 +95,7 @@ class _Checker:
     readings: list[Reading] = field(default_factory=list)
     fields: dict[int, list[FloatArray]] = field(default_factory=dict)
     remarks: list[str] = field(default_factory=list)
+    granted: Mapping[type[mav.Message], bool] = field(default_factory=dict)
     turned: bool = False
 
     @property
@@ -173,6 +174,9 @@ class _Checker:
             n = len(compass.reported.between(window.start_s, window.end_s))
             rate_hz = (len(compass.reported) - 1) / max(float(np.ptp(compass.time_s)), 1e-3)
             self._add(items.judge_too_few(instance, message, n, rate_hz))
+            return
+        if kind is not None and any(self.granted.values()) and self.granted.get(kind) is False:
+            self.remarks.append(f"Compass {instance} was not judged: {message} is not told.")
             return
         steers = self._steering() == instance or not track.compasses
         item = items.judge_silence(instance, message, self.desk.identity.autopilot, steers)
