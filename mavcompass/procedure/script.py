@@ -191,16 +191,14 @@ class Machine(Generic[T]):
     def abandon(self) -> list[Action]:
         """End a stopped script that cannot clean up in time; it may say what it leaves behind."""
         why = "It was left." if self._stopped is None else self._stopped[1]
-        left: MavCompassError | None = None
         try:
             with suppress(RuntimeError):  # it was still waiting in a `finally`
                 self._script.close()
         except MavCompassError as what_is_left:
-            left = what_is_left
+            self.context.left = self.context.left or what_is_left
         self._finish(
             None,
             self.context.left
-            or left
             or Refused(
                 f"{getattr(why, 'what', why)} What was changed could not all be put back.",
                 "Look at the vehicle before you go near it.",

@@ -38,12 +38,9 @@ def heading_errors_rad(
     chosen = vehicle.firmware.compasses.held(instance) if correction is None else correction
     load = np.full(yaw.size, vehicle.board.surroundings().current_a)
     field = chosen.apply(raw, load if chosen.motor_source == "current" else None)
-    nose = np.arctan2(stands[:, 1, 0], stands[:, 0, 0])
-    c, s = np.cos(nose), np.sin(nose)
-    north, east, _ = rotate(stands, field).T
-    found = np.arctan2(s * north - c * east, c * north + s * east)
-    magnetic = nose - np.arctan2(field_ned[:, 1], field_ned[:, 0])
-    return np.asarray(wrap_pi(found - magnetic), dtype=np.float64)
+    # Whatever turns the field about the vertical turns the heading the other way.
+    true, found = (np.arctan2(ned[:, 1], ned[:, 0]) for ned in (field_ned, rotate(stands, field)))
+    return np.asarray(wrap_pi(true - found), dtype=np.float64)
 
 
 def heading_error_rms_deg(
