@@ -22,7 +22,8 @@ import tempfile
 import time
 import urllib.request
 from collections import Counter
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
 from urllib.error import HTTPError
 
@@ -47,36 +48,44 @@ KINDS: dict[str, tuple[str, str, int]] = {
     "half-open websocket": (_UPGRADE, "", _ALL),
 }
 _OPENED_A_SECOND = 2500.0
+_CONNECT_S = 5.0
+_LATE_S = 60.0  # the besiegers that have not ended by then hang
 
 
 async def besiege(address: tuple[str, int], count: int, seconds: float) -> Counter[str]:
     """Hold so many connections open for so long; return how many of each kind were opened."""
     opened: Counter[str] = Counter()
-    held = [_hold(list(KINDS)[k % len(KINDS)], address, k / _OPENED_A_SECOND, opened) for k in range(count)]
-    with suppress(TimeoutError):
-        await asyncio.wait_for(asyncio.gather(*held), seconds)
+    end_s = time.monotonic() + seconds
+    kinds = list(KINDS)
+    await asyncio.gather(
+        *(_hold(kinds[k % len(kinds)], address, k / _OPENED_A_SECOND, end_s, opened) for k in range(count))
+    )
     return opened
 
 
-async def _hold(kind: str, address: tuple[str, int], after_s: float, opened: Counter[str]) -> None:
-    """Open a connection of a kind, and again as soon as it is cut off."""
+async def _hold(
+    kind: str, address: tuple[str, int], after_s: float, end_s: float, opened: Counter[str]
+) -> None:
+    """Open a connection of a kind, and again as soon as it is cut off, until the end."""
     (at_once, piece, reads), loop = KINDS[kind], asyncio.get_running_loop()
     await asyncio.sleep(after_s)
-    while True:
-        with socket.socket() as client, suppress(OSError):
+    while time.monotonic() < end_s:
+        with socket.socket() as client, suppress(OSError):  # a time limit that has passed is one
             client.setblocking(False)
             client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _ALL)
             opened[kind] += 1
-            await loop.sock_connect(client, address)
+            async with asyncio.timeout(_CONNECT_S):
+                await loop.sock_connect(client, address)
             client.send(at_once.encode())
             cut_off = select.poll()  # who does not read is told it all the same
             cut_off.register(client, 0)
-            while not cut_off.poll(0):
+            while not cut_off.poll(0) and time.monotonic() < end_s:
                 if reads < _ALL:
                     await asyncio.sleep(1.0)
                 with suppress(TimeoutError):
-                    if reads and not await asyncio.wait_for(loop.sock_recv(client, reads), 1.0):
-                        break
+                    async with asyncio.timeout(1.0):
+                        if reads and not await loop.sock_recv(client, reads):
+                            break
                 client.send(piece.encode())
         await asyncio.sleep(0.02)
 
@@ -105,7 +114,8 @@ def campaign(connections: int, seconds: float) -> dict[str, Any]:
         asked: Counter[str] = Counter()
         failed: list[str] = []
         most_mb = before_mb
-        while crowd.poll() is None:
+        deadline = time.monotonic() + seconds + _LATE_S
+        while crowd.poll() is None and time.monotonic() < deadline:
             for name, path, body in (
                 ("page", "", None),
                 ("script", "web/app.js", None),
@@ -121,8 +131,7 @@ def campaign(connections: int, seconds: float) -> dict[str, Any]:
                     failed.append(f"{name}: {status}")
             most_mb = max(most_mb, resident_mb(service.pid))
             time.sleep(0.05)
-        assert crowd.stdout is not None
-        opened = json.loads(crowd.stdout.read())
+        opened = json.loads(crowd.communicate(timeout=1.0)[0])
         service.send_signal(signal.SIGTERM)
         ended = service.wait(60.0)
     return {
@@ -137,8 +146,14 @@ def campaign(connections: int, seconds: float) -> dict[str, Any]:
     }
 
 
-def _process(words: list[str]) -> subprocess.Popen[str]:
-    return subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+@contextmanager
+def _process(words: list[str]) -> Iterator[subprocess.Popen[str]]:
+    """Start a program, which does not outlive the campaign, whatever breaks."""
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 def _ask(url: str, body: bytes | None = None, token: str = "") -> tuple[int | str, bytes]:
