@@ -18,6 +18,9 @@ from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
 
+# The field in RAW_IMU is the average of the last 100 ms, repeated until the next: it lags while turning.
+ARDUPILOT_LAG_S = 0.09
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Series:
@@ -119,6 +122,13 @@ class MagSeries:
         """Return the times of the readings, (N,)."""
         return self.reported.time_s
 
+    @property
+    def calibration(self) -> FieldCorrection | None:
+        """Return the autopilot's last calibration, inside `reported` or not; None where it is not told."""
+        if self.not_applied is not None:
+            return self.not_applied
+        return self.in_force[-1].correction if self.correction_known else None
+
     def correction_at(self, time_s: float) -> FieldCorrection:
         """Return the correction in force at a time."""
         begun = [step.correction for step in self.in_force if step.from_s <= time_s]
@@ -211,6 +221,34 @@ class Track:
             load = self.motor_load(compass.time_s[rows], source)
             raw[rows] = step.correction.undo(compass.reported.values[rows], load)
         return raw
+
+    def corrected_field(self, instance: int = 1) -> FloatArray:
+        """Return the readings (N, 3) of one compass by the autopilot's calibration, body axes, milligauss.
+
+        Raises KeyError for a compass that the recording does not have.
+        """
+        compass = self.compasses[instance]
+        own = compass.not_applied
+        if own is None:
+            return np.asarray(compass.reported.values)
+        return own.apply(compass.reported.values, self.motor_load(compass.time_s, own.motor_source))
+
+    def centred(self, instance: int) -> Track:
+        """Put readings that were cut toward zero into the middle of their steps, so that averages are right.
+
+        Raises KeyError for a compass that the recording does not have.
+        """
+        compass = self.compasses[instance]
+        if not compass.truncated:
+            return self
+        middle = Series.of(compass.time_s, uncut(compass.reported.values, compass.quantum_mgauss))
+        whole = replace(compass, reported=middle, truncated=False)
+        return replace(self, compasses={**self.compasses, instance: whole})
+
+    @property
+    def field_lag_s(self) -> float:
+        """Return how far the recorded field is known to lag behind the gyro."""
+        return ARDUPILOT_LAG_S if self.autopilot == "ardupilot" else 0.0
 
     def columns(self) -> Iterator[tuple[str, Series]]:
         """Yield what was recorded by its name; a compass's readings go by `compass 1`."""

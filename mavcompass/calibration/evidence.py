@@ -1,86 +1,27 @@
-"""What else tells the heading while a compass is calibrated, and how far that is from the compass.
-
-The other compasses of the vehicle, a second antenna, the receiver's course and acceleration, the autopilot's
-yaw where another source steers it: each as a `HeadingSource`, its deviations A, B, C counted from the heading
-by the new calibration, for `heading.fault_isolation` to weigh.
-"""
+"""What a calibration is held against: its compass's heading beside those of the others and all else."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mavcompass.attitude import ON_THE_GROUND, down_in_body
 from mavcompass.calibration.model import gain_parameters
-from mavcompass.calibration.observation import centred, field_lag_s
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.calibration.rigid import DEFAULT_PRIOR
-from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
-from mavcompass.frames import FloatArray, circular_mean, wrap_pi
-from mavcompass.heading.fault_isolation import HeadingSource
-from mavcompass.heading.stream import heading_of_track
-from mavcompass.steering import steering_source
+from mavcompass.heading.evidence import (
+    FLOOR_RAD,
+    CompassHeading,
+    Evidence,
+    compare,
+    compass_heading,
+    heading_elsewhere,
+    other_compasses,
+)
 from mavcompass.track import Series, Track
-
-# While it turns faster or leans further a heading is late, or hardly one.
-_SLOW_RADPS, _LEAST_UPRIGHT = math.radians(20.0), math.cos(math.radians(45.0))
-_MOST_ROWS, _NEAREST_S, _TOGETHER_S = 4000, 0.3, 1.0
-_BINS = 24
-# A compass that is read 10 times a second is up to 0.1 s old when it is told, each by its own time.
-_AGE_S = 0.05
-# A source whose calibration is not known is bent by as much as irons bend.
-_BEND_RAD = math.radians(20.0)
-# Of two headings that move against each other by more than this one does not turn with the vehicle.
-_NO_HEADING_RAD = math.radians(30.0)
-# Of a bin's readings so many are independent at the most.
-_AVERAGED = 20
-# Two headings from the same readings agree no better: the wire's whole numbers, and times.
-_FLOOR_RAD = math.radians(0.1)
-# One sigma of A: a compass under a calibration of unknown quality; antennas as they are aligned; an
-# autopilot's yaw; a wheel's or keel's course, and a wing's; an accelerometer beside a receiver.
-_IN_FORCE_RAD, _ANTENNA_RAD = math.radians(5.0), math.radians(1.5)
-_AUTOPILOT_RAD, _COURSE_RAD, _ACCELERATION_RAD = math.radians(3.0), math.radians(3.0), math.radians(6.0)
-# Of a declination that is not known: where people drive it is rarely beyond 20 degrees.
-_DECLINATION_RAD = math.radians(12.0)
-# Slower than this the receiver's noise turns its course; slower to turn than this, it is straight.
-_COURSE_MPS, _STRAIGHT_RADPS = 2.0, math.radians(8.0)
-# What drives ahead does so for most of the time.
-_AHEAD = frozenset({"rover", "ackermann-rover", "boat", "plane"})
-_MOSTLY = 0.8
-# The receiver's velocity is compared over steps of this length; fewer, or less alike, show nothing.
-_STEP_S, _FEWEST_STEPS, _LEAST_COHERENCE = 1.0, 15, 0.5
-# Receivers are 0.1 to 0.2 s late (GPS_DELAY_MS, EKF2_GPS_DELAY), by how much nobody tells.
-_RECEIVER_LATE_S = 0.15
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Evidence:
-    """Hold what was seen beside one compass.
-
-    Attributes:
-        sources: the compass itself first, then the others.
-        scatter_rad: how much its heading moves against every other compass beyond A, B and C, rms.
-    """
-
-    sources: tuple[HeadingSource, ...]
-    scatter_rad: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Moments:
-    """Hold the moments at which headings are compared: the compass's own readings, slow and upright."""
-
-    track: Track
-    time_s: FloatArray
-    heading_rad: FloatArray
-    rate_radps: FloatArray
-    declination_rad: float
-    declination_sigma_rad: float
 
 
 def gather(
@@ -90,124 +31,31 @@ def gather(
     earth: EarthField | None,
     windows: Sequence[tuple[float, float]] | None = None,
 ) -> Evidence:
-    """Compare the heading by a new calibration with all else that tells it.
+    """Compare the heading by a new calibration with all else that tells it, see `heading.evidence.compare`.
 
     Args:
         track: the recording. result: the compass's calibration.
         others: of the other compasses; one that has none, or one that is not accepted, counts under the
             calibration in force.
-        windows: the still stretches (start, end) that count; None takes all that is slow and upright.
-        earth: gives the declination, which sources of true headings need.
+        earth, windows: as there.
     """
-    moments = _moments(track, result, earth, windows)
-    own = math.hypot(math.radians(result.repeatable_sigma_deg), _FLOOR_RAD)
-    sources = [HeadingSource(f"compass {result.instance}", (0.0, 0.0, 0.0), own, _by_itself(result))]
-    scatters = []
-    for instance in sorted(set(track.compasses) - {result.instance}):
-        other = others.get(instance)
-        known = other is not None and other.accepted
-        heading = _compass_heading(track, instance, other.correction if other and known else None)
-        if heading is None or not len(moments.time_s):
-            continue
-        found = _deviation(moments, heading.nearest(moments.time_s, _NEAREST_S))
-        if found is None:
-            continue
-        (a, b, c), sigma, left = found
-        turns_alike = left < _NO_HEADING_RAD
-        if other is not None and known:
-            sure = math.hypot(math.radians(other.repeatable_sigma_deg), _FLOOR_RAD, sigma)
-            deviation = (a, b, c) if turns_alike else (math.nan, math.nan, math.nan)
-            sources.append(HeadingSource(f"compass {instance}", deviation, sure, _by_itself(other)))
-            scatters += [left] if turns_alike else []
-        elif turns_alike:
-            doubt = math.hypot(_IN_FORCE_RAD, sigma)
-            sources.append(HeadingSource(f"compass {instance}", (a, math.nan, math.nan), doubt))
-    if len(moments.time_s):
-        given = "" if result.true_heading is None else result.true_heading.by
-        sources += [source for source in _elsewhere(moments, result.instance) if source.name != given]
-    return Evidence(tuple(sources), min(scatters, default=0.0))
+    headings = [_heading(track, i, others.get(i)) for i in other_compasses(track, result.instance)]
+    evidence = compare(track, _calibrated(track, result), headings, earth, windows)
+    given = "" if result.true_heading is None else result.true_heading.by
+    return replace(evidence, sources=tuple(s for s in evidence.sources if s.name != given))
 
 
-def _moments(
-    track: Track,
-    result: CalibrationResult,
-    earth: EarthField | None,
-    windows: Sequence[tuple[float, float]] | None,
-) -> _Moments:
-    heading = _compass_heading(track, result.instance, result.correction)
-    assert heading is not None
-    time, values = heading.time_s, np.asarray(heading.values)
-    down, rate = down_in_body(track, time), np.zeros((len(time), 3))
-    if track.gyro_radps is not None and len(track.gyro_radps):
-        rate = np.nan_to_num(track.gyro_radps.at(time - field_lag_s(track)), nan=math.inf)
-    slow = np.isfinite(values) & (down[:, 2] > _LEAST_UPRIGHT) & (np.linalg.norm(rate, axis=1) < _SLOW_RADPS)
-    if windows is not None:
-        slow &= np.any([(time >= start) & (time <= end) for start, end in windows], axis=0)
-    rows = np.flatnonzero(slow)
-    rows = rows[:: max(len(rows) // _MOST_ROWS, 1)]
-    declination = (
-        (0.0, _DECLINATION_RAD) if earth is None else (earth.declination_rad, earth.declination_sigma_rad)
-    )
-    return _Moments(track, time[rows], values[rows], (rate[rows] * down[rows]).sum(axis=1), *declination)
+def _heading(track: Track, instance: int, result: CalibrationResult | None) -> CompassHeading:
+    """Compute the heading by a calibration; by the one in force where that is not accepted."""
+    if result is not None and result.accepted:
+        return _calibrated(track, result)
+    return compass_heading(track, instance)
 
 
-def _compass_heading(track: Track, instance: int, correction: FieldCorrection | None) -> Series | None:
-    """Return the magnetic heading by one compass; None where it has none."""
-    if not len(track.compasses[instance].reported):
-        return None
-    track = centred(track, instance)
-    compass = track.compasses[instance]
-    if correction is None and compass.not_applied is not None:
-        correction = compass.not_applied
-    return Series(compass.time_s, heading_of_track(track, correction, instance, alone=True).magnetic_rad)
-
-
-def _deviation(
-    moments: _Moments, other_rad: FloatArray
-) -> tuple[tuple[float, float, float], float, float] | None:
-    """Fit A, B, C of another heading less mine; returns them, sigma of A, and what they leave, rms, radians.
-
-    Every bin of the circle counts alike, however long the vehicle pointed there. How much later one of them
-    is told than the other is fitted, too.
-    """
-    time_s, mine_rad = moments.time_s, moments.heading_rad
-    known = np.isfinite(mine_rad) & np.isfinite(other_rad)
-    known[1:] &= np.diff(other_rad) != 0.0  # a reading that is repeated says no more than once
-    if int(known.sum()) < 2:
-        return None
-    mine, off = mine_rad[known], np.exp(1j * (other_rad - mine_rad)[known])
-    # A noisy reading is not to choose its own bin: what a second's readings show together does.
-    _, second = np.unique(np.floor(time_s[known] / _TOGETHER_S), return_inverse=True)
-    toward = np.angle(np.bincount(second, np.cos(mine)) + 1j * np.bincount(second, np.sin(mine)))[second]
-    bins = np.floor(np.mod(toward, 2.0 * math.pi) / (2.0 * math.pi) * _BINS).astype(np.intp) % _BINS
-    count = np.bincount(bins, minlength=_BINS)
-    seen = count > 0
-
-    def mean(phasor: NDArray[np.complex128]) -> NDArray[np.complex128]:
-        sums = np.bincount(bins, phasor.real, _BINS) + 1j * np.bincount(bins, phasor.imag, _BINS)
-        return np.asarray(sums[seen] / count[seen])
-
-    middle, psi = mean(off), np.angle(mean(np.exp(1j * mine)))
-    turns = np.bincount(bins, moments.rate_radps[known], _BINS)[seen] / count[seen]
-    count = count[seen]
-    centre = float(np.angle(middle.sum()))
-    away = np.angle(middle * np.exp(-1j * centre))
-    # The readings of a bin average out their noise, as far as they are independent.
-    inside2 = float((count * (1.0 - np.abs(middle) ** 2)).sum()) / max(int(count.sum()) - count.size, 1)
-    chance2 = inside2 / np.minimum(count, _AVERAGED) + _FLOOR_RAD**2
-    design = np.stack([np.ones(psi.size), np.sin(psi), np.cos(psi), turns], axis=1)
-    beyond2 = 0.0
-    for _ in range(3):
-        weight = 1.0 / (chance2 + beyond2)
-        prior = np.diag([0.0, _BEND_RAD**-2.0, _BEND_RAD**-2.0, _AGE_S**-2.0])
-        covariance = np.linalg.inv(design.T @ (design * weight[:, np.newaxis]) + prior)
-        found = covariance @ design.T @ (weight * away)
-        left2 = (away - design @ found) ** 2
-        chance = left2.size + 2.0 * math.sqrt(2.0 * left2.size)  # of a chi-square, two sigmas
-        shows = float((left2 / chance2).sum()) > chance
-        beyond2 = max(float(np.average(left2 - chance2, weights=weight)), 0.0) if shows else 0.0
-    a, b, c, _ = found.tolist()
-    return (float(wrap_pi(centre + a)), b, c), math.sqrt(float(covariance[0, 0])), math.sqrt(beyond2)
+def _calibrated(track: Track, result: CalibrationResult) -> CompassHeading:
+    heading = compass_heading(track, result.instance, result.correction)
+    sigma = math.hypot(math.radians(result.repeatable_sigma_deg), FLOOR_RAD)
+    return replace(heading, sigma_rad=sigma, calibrated=True, by_itself=_by_itself(result))
 
 
 def _by_itself(result: CalibrationResult) -> dict[str, float]:
@@ -224,136 +72,11 @@ def _by_itself(result: CalibrationResult) -> dict[str, float]:
     return {"gains": float(np.abs(away / sigma).max())}
 
 
-def _elsewhere(moments: _Moments, instance: int) -> Iterator[HeadingSource]:
-    """Yield what is no compass: by its name in the calibration JSON."""
-    track = moments.track
-    if track.gps_yaw_rad is not None:
-        yield from _true_source("gps-yaw", moments, track.gps_yaw_rad, _ANTENNA_RAD)
-    steered_by = steering_source(track.autopilot, track.parameters)
-    elsewhere = steered_by is not None and steered_by != instance and steered_by not in track.compasses
-    yaw = _autopilot_yaw(track)
-    if elsewhere and steered_by != "gps" and yaw is not None:
-        yield from _true_source("autopilot", moments, yaw, _AUTOPILOT_RAD)
-    velocity = track.receiver_velocity_mps or track.gps_velocity_mps
-    if velocity is None or len(velocity) < _FEWEST_STEPS:
-        return
-    if track.vehicle in _AHEAD:
-        yield from _course(moments, velocity)
-    elif track.vehicle not in ON_THE_GROUND:
-        yield from _acceleration(moments, velocity)
-
-
-def _true_source(name: str, moments: _Moments, true: Series, sigma_rad: float) -> Iterator[HeadingSource]:
-    magnetic = true.nearest(moments.time_s - field_lag_s(moments.track), _NEAREST_S) - moments.declination_rad
-    found = _deviation(moments, magnetic)
-    if found is not None:
-        (a, _, _), sigma, _ = found
-        doubt = math.hypot(sigma_rad, sigma, moments.declination_sigma_rad)
-        yield HeadingSource.elsewhere(name, a, doubt)
-
-
-def _course(moments: _Moments, velocity: Series) -> Iterator[HeadingSource]:
-    """Yield the course over ground of what drives ahead, and straight."""
-    north, east = np.asarray(velocity.values)[:, :2].T
-    course = np.where(np.hypot(north, east) > _COURSE_MPS, np.arctan2(east, north), np.nan)
-    turning = np.abs(np.gradient(np.unwrap(np.nan_to_num(course)), velocity.time_s)) > _STRAIGHT_RADPS
-    course[turning] = np.nan
-    off = Series(velocity.time_s, course).nearest(moments.time_s, _NEAREST_S) - moments.heading_rad
-    off = off[np.isfinite(off)]
-    if off.size < _FEWEST_STEPS:
-        return
-    axis = 0.5 * circular_mean(2.0 * off)
-    ahead = np.cos(off - axis) > 0.0
-    if max(ahead.mean(), 1.0 - ahead.mean()) < _MOSTLY:
-        return  # it drives backwards as often
-    keep = ahead if ahead.mean() > 0.5 else ~ahead
-    a = circular_mean(off[keep])
-    spread = float(np.sqrt((np.asarray(wrap_pi(off[keep] - a)) ** 2).mean()))
-    sigma = math.hypot(_COURSE_RAD, spread / math.sqrt(_FEWEST_STEPS), moments.declination_sigma_rad)
-    yield HeadingSource.elsewhere("gps-course", float(wrap_pi(a - moments.declination_rad)), sigma)
-
-
-def _acceleration(moments: _Moments, velocity: Series) -> Iterator[HeadingSource]:
-    """Yield the heading at which the accelerometer's changes of velocity are those that the receiver saw.
-
-    With the specific force f in level axes (forward, right), d(v_n + i v_e) = e^(i psi) (f_f + i f_r) dt, so
-    the angle between both sides, summed over steps, is what psi is off by.
-    """
-    track = moments.track
-    acc, attitude = track.acc_mps2, track.attitude_rad
-    if acc is None or attitude is None or len(acc) < 2 or len(moments.time_s) < 2:
-        return
-    time = acc.time_s[np.isfinite(acc.values).all(axis=1)]
-    force = np.asarray(acc.values)[np.isfinite(acc.values).all(axis=1)]
-    down = down_in_body(track, time)
-    ahead = _ahead(down)
-    level = (force * ahead).sum(axis=1) + 1j * (force * np.cross(down, ahead)).sum(axis=1)
-    psi = np.interp(time, moments.time_s, np.unwrap(moments.heading_rad)) + moments.declination_rad
-    pushed = level * np.exp(1j * psi)
-    total = np.concatenate([[0.0], np.cumsum(0.5 * (pushed[1:] + pushed[:-1]) * np.diff(time))])
-    known = np.isfinite(velocity.values[:, :2]).all(axis=1)
-    at, (north, east) = velocity.time_s[known], np.asarray(velocity.values)[known, :2].T
-    every = max(round(_STEP_S / max(float(np.median(np.diff(at))), 1e-3)), 1) if len(at) > 1 else 1
-    at, seen = at[::every], (north + 1j * east)[::every]
-    inside = (at >= time[0]) & (at <= time[-1])
-    at, seen = at[inside], seen[inside]
-    if len(at) <= _FEWEST_STEPS:
-        return
-    # Only steps in which the compass was heard: between them its heading is not known.
-    heard = np.diff(np.searchsorted(moments.time_s, at)) > 0
-    if int(heard.sum()) < _FEWEST_STEPS:
-        return
-    # What stays (a biased accelerometer, a lean that is not known) tells nothing.
-    moved = np.diff(seen)[heard]
-    moved -= moved.mean()
-
-    def agreement(late_s: float) -> complex:
-        then = at - late_s
-        told = np.diff(np.interp(then, time, total.real) + 1j * np.interp(then, time, total.imag))[heard]
-        told -= told.mean()
-        power = float((np.abs(told) ** 2).sum() * (np.abs(moved) ** 2).sum())
-        return complex((np.conj(told) * moved).sum()) / math.sqrt(max(power, 1e-12))
-
-    both = agreement(0.0)
-    coherence = abs(both) ** 2
-    if coherence < _LEAST_COHERENCE:
-        return
-    sigma = math.sqrt((1.0 - coherence) / (2.0 * len(moved) * coherence))
-    # What turns while it accelerates seems turned by as much as it turns within the receiver's delay.
-    by_delay = float(np.angle(agreement(_RECEIVER_LATE_S) / agreement(-_RECEIVER_LATE_S))) / 2.0
-    doubt = math.hypot(_ACCELERATION_RAD, sigma, by_delay, moments.declination_sigma_rad)
-    yield HeadingSource.elsewhere("gps-acceleration", float(np.angle(both)), doubt)
-
-
 def heading_by(
     track: Track, name: str, results: Mapping[int, CalibrationResult], declination_rad: float
 ) -> Series | None:
     """Return the magnetic heading by a source of that name over the recording; None for one without."""
-    if name.startswith("compass "):
-        other = results.get(int(name.removeprefix("compass ")))
-        accepted = other is not None and other.accepted
-        return _compass_heading(track, int(name[8:]), other.correction if other and accepted else None)
-    true = {"gps-yaw": track.gps_yaw_rad, "autopilot": _autopilot_yaw(track)}.get(name)
-    return None if true is None else Series(true.time_s, np.asarray(true.values) - declination_rad)
-
-
-def _autopilot_yaw(track: Track) -> Series | None:
-    attitude = track.attitude_rad
-    return None if attitude is None else Series(attitude.time_s, np.asarray(attitude.values)[:, 2])
-
-
-def expected_field(
-    track: Track, heading: Series, time_s: FloatArray, horizontal_mgauss: float, vertical_mgauss: float
-) -> FloatArray:
-    """Return the Earth's field in the body, (N, 3), by another source's heading; nan where unknown."""
-    psi = heading.nearest(time_s, _NEAREST_S)[:, np.newaxis]
-    down = down_in_body(track, time_s)
-    ahead = _ahead(down)
-    level = np.cos(psi) * ahead - np.sin(psi) * np.cross(down, ahead)
-    return np.asarray(horizontal_mgauss * level + vertical_mgauss * down)
-
-
-def _ahead(down: FloatArray) -> FloatArray:
-    """Return the horizontal direction of the nose, in body axes, (N, 3)."""
-    ahead = np.array([1.0, 0.0, 0.0]) - down[:, :1] * down
-    return np.asarray(ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9))
+    if not name.startswith("compass "):
+        return heading_elsewhere(track, name, declination_rad)
+    instance = int(name.removeprefix("compass "))
+    return _heading(track, instance, results.get(instance)).heading

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mavcompass.calibration.evidence import Evidence, gather
+from mavcompass.calibration.evidence import gather
 from mavcompass.calibration.mounting import TURNED_RAD, as_set, mounted_turned, mounting_words, turned_compass
 from mavcompass.calibration.result import BEYOND_CHANCE, CalibrationResult, Limits, Mounting, Witness
 from mavcompass.compass_parameters import is_calibrated, orientation_name, sensor_to_body
@@ -26,6 +26,7 @@ from mavcompass.compass_parameters.orientations import NUMBERED, NUMBERED_WITHIN
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import euler_to_matrix, wrap_pi
+from mavcompass.heading.evidence import Evidence
 from mavcompass.heading.fault_isolation import RATHER_SOUND, FaultIsolation, isolate_faults, named
 from mavcompass.track import Track
 

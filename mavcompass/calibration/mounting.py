@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mavcompass.calibration.evidence import expected_field, heading_by
+from mavcompass.calibration.evidence import heading_by
 from mavcompass.calibration.result import CalibrationResult, Mounting
 from mavcompass.calibration.rigid import DEFAULT_PRIOR
 from mavcompass.compass_parameters import mounting_values, sensor_to_body, values
@@ -26,6 +26,7 @@ from mavcompass.correction import IDENTITY
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.frames import FloatArray, euler_to_matrix
+from mavcompass.heading.evidence import expected_field
 from mavcompass.heading.fault_isolation import RATHER_SOUND, FaultIsolation, named
 from mavcompass.track import Series, Track
 

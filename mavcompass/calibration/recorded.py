@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from mavcompass.calibration.result import DEFAULT_LIMITS, Limits, OwnFinding, TrueHeading
 from mavcompass.calibration.rigid import DEFAULT_PRIOR, IronPrior
-from mavcompass.correction import FieldCorrection
+from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.track import Track
 
@@ -37,7 +37,4 @@ class Recorded:
     @property
     def in_force(self) -> FieldCorrection:
         """Return the correction in force at the end of the recording."""
-        compass = self.track.compasses[self.instance]
-        if compass.not_applied is not None:
-            return compass.not_applied
-        return compass.correction_at(float(compass.time_s[-1]))
+        return self.track.compasses[self.instance].calibration or IDENTITY

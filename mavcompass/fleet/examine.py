@@ -143,8 +143,8 @@ def _about_compass(track: Track, instance: int) -> Row:
     if compass is None:
         return {}
     row: Row = {"device_id": compass.device_id, "samples": len(compass.reported)}
-    if compass.correction_known:
-        row |= _numbers("in_force_offset_", "_mgauss", compass.in_force[-1].correction.offsets_mgauss)
+    if compass.calibration is not None:
+        row |= _numbers("in_force_offset_", "_mgauss", compass.calibration.offsets_mgauss)
     return row
 
 

@@ -2,181 +2,31 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-
-import numpy as np
-
-from mavcompass.attitude import levels
-from mavcompass.compass_parameters import is_calibrated
 from mavcompass.correction import FieldCorrection
-from mavcompass.earth_field import EarthField, middle_place
 from mavcompass.earth_field import earth_field_of as earth_field_of
-from mavcompass.errors import BadRecording
-from mavcompass.frames import FloatArray, circular_mean, tilt_from_acceleration
-from mavcompass.gravity import require_gravity
-from mavcompass.heading.compute import grid_heading, level_field, tilt_compensated_heading, true_heading
-from mavcompass.heading.doubt import (
-    TILT_SIGMA_RAD,
-    CalibrationDoubt,
-    heading_sigma_rad,
-    prior_sigma_mgauss,
-    turned_since_new,
-)
-from mavcompass.heading.fault_isolation import HeadingSource, isolate_faults
-from mavcompass.heading.two_axis import two_axis_heading
-from mavcompass.track import Series, Track
-
-# The date of a recording that does not tell it: the middle of WMM2025's years.
-_UNKNOWN_YEAR = 2027.5
-# Readings of two compasses no further apart in time are compared.
-_TOGETHER_S = 0.3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class HeadingResult:
-    """Hold headings over time, (N,) each, radians in [0, 2 pi).
-
-    Attributes:
-        time_s: the compass's readings.
-        magnetic_rad: from magnetic north. true_rad, grid_rad: from true and UTM grid north; None where
-            the recording does not tell its place.
-        magnetic_sigma_rad, sigma_rad: standard deviation of the magnetic heading, and of the true one
-            (the declination's included; of the magnetic one again where the place is unknown). The
-            calibration's share is judged by how far the corrected field is from the Earth's.
-    """
-
-    time_s: FloatArray
-    magnetic_rad: FloatArray
-    magnetic_sigma_rad: FloatArray
-    sigma_rad: FloatArray
-    true_rad: FloatArray | None = None
-    grid_rad: FloatArray | None = None
-    declination_rad: float = math.nan
+from mavcompass.heading.evidence import CompassHeading, compare, compass_heading, other_compasses
+from mavcompass.heading.fault_isolation import isolate_faults
+from mavcompass.heading.one_compass import UNKNOWN_YEAR, heading_by_compass
+from mavcompass.heading.one_compass import HeadingResult as HeadingResult
+from mavcompass.track import Track
 
 
 def heading_of_track(
-    track: Track,
-    correction: FieldCorrection | None = None,
-    instance: int = 1,
-    *,
-    two_axis: bool = False,
-    alone: bool = False,
+    track: Track, correction: FieldCorrection | None = None, instance: int = 1, *, two_axis: bool = False
 ) -> HeadingResult:
-    """Compute a recording's tilt-compensated heading.
+    """Compute a recording's tilt-compensated heading; what else tells it may widen its sigma.
 
     Args:
         track: the recording.
         correction: applied to the raw field; None leaves the autopilot's own correction in force.
         instance: the compass, counting from 1.
         two_axis: use X and Y only and estimate Z from the world model's field length.
-        alone: do not hold it against the vehicle's other compasses, which may widen the sigma.
 
     Raises BadRecording where the compass is missing, the accelerometer is dead, or two_axis is wanted and the
     place is unknown.
     """
-    compass = track.compass(instance)
-    require_gravity(track.acc_mps2)
-    world = earth_field_of(track, _UNKNOWN_YEAR)
-    field = _field(track, correction, instance)
-    level = levels(track)
-    down, leaning = level.at(compass.time_s), level.sigma_rad.at(compass.time_s)
-    roll, pitch = tilt_from_acceleration(-down)
-    if two_axis:
-        if world is None:
-            raise BadRecording(
-                "A two-axis heading needs the Earth's field, and the recording does not tell its place.",
-                "Use a recording with GPS, or all three axes.",
-            )
-        magnetic = np.asarray(
-            two_axis_heading(field[:, :2], roll, pitch, world.total_mgauss, world.inclination_rad)
-        )
-    else:
-        magnetic = np.asarray(tilt_compensated_heading(field, -down))
-    calibrated = _is_calibrated(track, instance, correction)
-    late = turned_since_new(track, instance)
-    sigma = _magnetic_sigma(field, down, leaning, magnetic, world, calibrated, two_axis, late)
-    if not alone and len(track.compasses) > 1:
-        sigma = np.hypot(sigma, _doubted_rad(track, instance, Series(compass.time_s, magnetic), sigma))
-    return _result(track, compass.time_s, magnetic, np.minimum(sigma, math.pi), world)
-
-
-def _doubted_rad(track: Track, instance: int, mine: Series, sigma: FloatArray) -> float:
-    """Return how far a heading may be off beyond its sigma by what the other compasses say, rms, radians."""
-    sources = [HeadingSource.at(f"compass {instance}", 0.0, math.degrees(float(np.median(sigma))))]
-    for other in sorted(set(track.compasses) - {instance}):
-        if not len(track.compasses[other].reported):
-            continue
-        found = heading_of_track(track, None, other, alone=True)
-        away = Series(found.time_s, found.magnetic_rad).nearest(mine.time_s, _TOGETHER_S) - mine.values
-        if np.isfinite(away).any():
-            apart_deg = math.degrees(circular_mean(away[np.isfinite(away)]))
-            sure_deg = math.degrees(float(np.median(found.magnetic_sigma_rad)))
-            sources.append(HeadingSource.at(f"compass {other}", apart_deg, sure_deg))
-    return isolate_faults(sources).beyond_rad(0)
-
-
-def _is_calibrated(track: Track, instance: int, correction: FieldCorrection | None) -> bool:
-    """Tell whether the heading is by a calibration; False where the recording does not tell."""
-    compass = track.compasses[instance]
-    if correction is not None:
-        return any(correction.offsets_mgauss)
-    in_force = compass.not_applied or (compass.in_force[-1].correction if compass.correction_known else None)
-    return in_force is not None and is_calibrated(track.autopilot, track.parameters, instance, in_force)
-
-
-def _field(track: Track, correction: FieldCorrection | None, instance: int) -> FloatArray:
-    compass = track.compasses[instance]
-    if correction is None:
-        return np.asarray(compass.reported.values)
-    load = track.motor_load(compass.time_s, correction.motor_source)
-    return correction.apply(track.raw_field(instance), load)
-
-
-def _magnetic_sigma(
-    field: FloatArray,
-    down: FloatArray,
-    leaning: FloatArray,
-    magnetic: FloatArray,
-    world: EarthField | None,
-    calibrated: bool,
-    two_axis: bool,
-    late: FloatArray | float = 0.0,
-) -> FloatArray:
-    """Add up calibration, scatter, lateness, tilt by the dip's tangent, and (two-axis) the estimated Z."""
-    vertical = np.einsum("ij,ij->i", field, down)
-    horizontal = np.sqrt(np.maximum((field**2).sum(axis=1) - vertical**2, 1.0))
-    usual = world.horizontal_mgauss if world is not None else float(np.median(horizontal))
-    level = level_field(magnetic, horizontal, vertical)
-    doubt = CalibrationDoubt(prior_sigma_mgauss(calibrated, usual), world)
-    doubt.add_all(level)
-    steep = np.full(len(field), abs(world.ned_mgauss[2])) if world is not None else np.abs(vertical)
-    z_sigma = np.zeros(len(field))
-    if two_axis and world is not None:
-        root = np.maximum(np.abs(field[:, 2]), 0.05 * world.total_mgauss)
-        z_sigma = math.hypot(*world.sigma_mgauss) * world.total_mgauss / root
-    tilt = np.hypot(down[:, 0], down[:, 1])
-    leaning = np.hypot(leaning, TILT_SIGMA_RAD)
-    noise = np.hypot(z_sigma * tilt, doubt.scatter_mgauss)
-    return heading_sigma_rad(doubt.sigma_rad(level[:, 0], level[:, 1]), usual, steep, leaning, noise, late)
-
-
-def _result(
-    track: Track, time_s: FloatArray, magnetic: FloatArray, sigma: FloatArray, world: EarthField | None
-) -> HeadingResult:
-    if world is None:
-        return HeadingResult(time_s, magnetic, sigma, sigma)
-    true = np.asarray(true_heading(magnetic, world))
-    grid = None
-    if track.place is not None and len(track.place):
-        lat, lon, _ = middle_place(track.place.values)
-        grid = np.asarray(grid_heading(true, lat, lon))
-    return HeadingResult(
-        time_s=time_s,
-        magnetic_rad=magnetic,
-        magnetic_sigma_rad=sigma,
-        sigma_rad=np.hypot(sigma, world.declination_sigma_rad),
-        true_rad=true,
-        grid_rad=grid,
-        declination_rad=world.declination_rad,
-    )
+    found = heading_by_compass(track, correction, instance, two_axis)
+    others = [compass_heading(track, other) for other in other_compasses(track, instance)]
+    earth = earth_field_of(track, UNKNOWN_YEAR)
+    evidence = compare(track, CompassHeading.of(instance, found), others, earth)
+    return found.widened(isolate_faults(evidence.sources).beyond_rad(0))

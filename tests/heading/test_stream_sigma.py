@@ -7,13 +7,14 @@ import math
 import numpy as np
 import pytest
 
+from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
-from mavcompass.heading import stream
+from mavcompass.heading import one_compass
 from mavcompass.heading.doubt import UNKNOWN_CALIBRATION_SIGMA_RAD
 from mavcompass.heading.stream import heading_of_track
-from mavcompass.track import MagSeries, Series, Track
+from mavcompass.track import InForce, MagSeries, Series, Track
 
 TIME = np.arange(50.0) * 0.1
 WORLD = EarthField((200.0, 0.0, 400.0))
@@ -23,7 +24,7 @@ TILT = math.radians(0.3)
 
 def sigma_of(field: FloatArray, down: FloatArray, world: EarthField | None, two_axis: bool) -> FloatArray:
     magnetic = np.arctan2(-field[:, 1], field[:, 0])
-    return stream._magnetic_sigma(field, down, np.zeros(len(field)), magnetic, world, True, two_axis)
+    return one_compass._magnetic_sigma(field, down, np.zeros(len(field)), magnetic, world, True, two_axis)
 
 
 def test_a_good_compass_that_was_turned_is_as_sure_as_its_tilt() -> None:
@@ -37,7 +38,7 @@ def test_a_calibration_that_was_not_looked_at_is_as_sure_as_calibrations_are() -
     field = np.tile([200.0, 0.0, 400.0], (50, 1))
     unknown = sigma_of(field, LEVEL, None, False)[0]
     assert unknown == pytest.approx(math.hypot(UNKNOWN_CALIBRATION_SIGMA_RAD, TILT * 2.0), rel=0.05)
-    never = stream._magnetic_sigma(field, LEVEL, np.zeros(50), np.zeros(50), None, False, False)[0]
+    never = one_compass._magnetic_sigma(field, LEVEL, np.zeros(50), np.zeros(50), None, False, False)[0]
     assert math.degrees(never) > 20.0
 
 
@@ -76,7 +77,7 @@ def test_the_true_heading_is_less_sure_by_the_declination() -> None:
     assert not np.allclose(result.grid_rad, result.true_rad)
     nowhere = heading_of_track(placed(place=None))
     assert nowhere.true_rad is None and nowhere.grid_rad is None and math.isnan(nowhere.declination_rad)
-    assert nowhere.sigma_rad is nowhere.magnetic_sigma_rad
+    assert np.array_equal(nowhere.sigma_rad, nowhere.magnetic_sigma_rad)
 
 
 def test_a_place_counts_where_it_is_known() -> None:
@@ -93,6 +94,35 @@ def test_a_place_counts_where_it_is_known() -> None:
     assert 0.001 < middle.declination_rad - dated.declination_rad < 0.01
     assert earth_field_of(placed(utc_offset_s=1.74e9), 2099.0) == dated
     assert heading_of_track(placed()).declination_rad == middle.declination_rad
+
+
+def test_the_calibration_in_force_counts_where_the_readings_lack_it() -> None:
+    """PX4 sends raw readings; its parameters tell what it does to them."""
+    own = FieldCorrection((0.0, 50.0, 0.0), (1.1, 1.0, 1.0))
+    field = np.tile([200.0, -40.0, 400.0], (50, 1))
+    inside = MagSeries(1, Series.of(TIME, own.apply(field)), (InForce(-np.inf, own),))
+    outside = MagSeries(1, Series.of(TIME, field), not_applied=own)
+    told, lacking = (heading_of_track(placed(compasses={1: one})) for one in (inside, outside))
+    assert told.magnetic_rad == pytest.approx(lacking.magnetic_rad)
+    assert told.magnetic_rad[0] == pytest.approx(math.atan2(-10.0, 220.0) % (2.0 * math.pi))
+    assert told.sigma_rad == pytest.approx(lacking.sigma_rad)
+
+
+def test_an_autopilots_yaw_that_another_compass_steers_is_evidence() -> None:
+    """Only one compass is told; by what the autopilot makes of the other it stands 90 degrees off."""
+    steered = {"COMPASS_USE": 0.0, "COMPASS_USE2": 1.0, "COMPASS_DEV_ID2": 97539.0, "AHRS_EKF_TYPE": 3.0}
+
+    def sigma_deg(yaw_rad: float, parameters: dict[str, float]) -> float:
+        wander = 1e-4 * np.sin(TIME)  # a yaw that is sent again says nothing new
+        attitude = Series.of(TIME, np.stack([0.0 * TIME, 0.0 * TIME, yaw_rad + wander], axis=1))
+        track = placed(attitude_rad=attitude, autopilot="ardupilot", parameters=parameters)
+        return math.degrees(heading_of_track(track).magnetic_sigma_rad[-1])
+
+    own = math.radians(3.5)  # the declination there: the compass points to magnetic north
+    alone = sigma_deg(own, {})
+    assert sigma_deg(own + 0.5 * math.pi, {}) == alone  # what this compass steers tells nothing of it
+    assert sigma_deg(own, steered) == pytest.approx(alone, abs=0.5)
+    assert 60.0 < sigma_deg(own + 0.5 * math.pi, steered) <= 90.0
 
 
 def test_what_is_asked_of_a_recording_has_to_be_there() -> None:

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from mavcompass.calibration.model import HORIZONTAL, LAG, MOTOR, VERTICAL, HeadingError, heading_gradient
 from mavcompass.calibration.motion.fit import MotionFit, leaning_error
 from mavcompass.calibration.motion.sections import Sections, unsettled
-from mavcompass.calibration.observation import field_lag_s
 from mavcompass.calibration.observation.turning import TurnRecord
 from mavcompass.calibration.rigid import DEFAULT_PRIOR, IronPrior, weigh_cross_terms
 from mavcompass.frames import FloatArray, wrap_pi
@@ -158,7 +157,7 @@ def scatter_left_rad(
     usable &= ~unsettled(track, instance)
     section = np.clip(np.searchsorted(sections.start_s, time, side="right") - 1, 0, len(sections) - 1)
     usable &= (time <= sections.end_s[section]) & (sections.tilt_sigma_rad[section] < _TILT_KNOWN_RAD)
-    late = field_lag_s(track) + float(fit.state[LAG])
+    late = track.field_lag_s + float(fit.state[LAG])
     tilting = np.interp(time - late, record.time_s, record.tilt_rate_radps) - 1.3 * record.noise_radps
     slow = usable & (down[:, 2] > _LEAST_UPRIGHT)
     slow &= np.hypot(record.rate_at(time - late), np.maximum(tilting, 0.0)) < _SLOW_RADPS

@@ -21,7 +21,6 @@ from mavcompass.calibration.motion.sections import (
 )
 from mavcompass.calibration.observation import (
     accelerometer_of,
-    centred,
     find_dwells,
     turn_record,
 )
@@ -146,7 +145,7 @@ def observe_motion(recorded: Recorded) -> Motion:
 
     Raises PoorCalibration where the recording has neither gyro nor reference, or turned too little.
     """
-    track, instance = centred(recorded.track, recorded.instance), recorded.instance
+    track, instance = recorded.track.centred(recorded.instance), recorded.instance
     recorded = replace(recorded, track=track)
     reference = reference_turn(track)
     record = reference.record if reference is not None else turn_record(track, instance)

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.attitude import Levels, levels
-from mavcompass.calibration.observation import field_lag_s
 from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD
 from mavcompass.calibration.observation.turning import (
     GYRO_SCALE_SIGMA,
@@ -177,7 +176,7 @@ def cut_sections(
     usable &= ~unsettled(track, instance)
     time, raw = time[usable], raw_mgauss[usable]
     loads = np.zeros(time.size) if load is None else load[usable]
-    lag = field_lag_s(track)
+    lag = track.field_lag_s
     angle = record.angle_at(time - lag)
     level = leaning_as_seen(level, time - lag)
     down = level.at(time - lag)

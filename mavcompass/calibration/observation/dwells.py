@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,8 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, level_to_body, tilt_from_acceleration
 from mavcompass.heading.compute import tilt_compensated_heading
-from mavcompass.track import MagSeries, Series, Track, uncut
+from mavcompass.track import MagSeries, Track
 
-# The field in RAW_IMU is the average of the last 100 ms, repeated until the next: it lags while turning.
-ARDUPILOT_LAG_S = 0.09
 LAG_SIGMA_S = 0.03
 _OUTLIER_SIGMAS = 5.0
 # Before and after a stretch: several periods of a position loop, and longer than errors of the level last.
@@ -118,25 +116,6 @@ class FourPositionData:
         return np.concatenate([[0.0], np.cumsum([step.angle_rad for step in self.steps])])
 
 
-def field_lag_s(track: Track) -> float:
-    """Return how far the recorded field is known to lag behind the gyro, seconds."""
-    return ARDUPILOT_LAG_S if track.autopilot == "ardupilot" else 0.0
-
-
-def centred(track: Track, instance: int) -> Track:
-    """Put readings that were cut toward zero into the middle of their steps, so that averages are right.
-
-    Raises KeyError for a compass that the recording does not have.
-    """
-    compass = track.compasses[instance]
-    if not compass.truncated:
-        return track
-    middle = Series.of(compass.time_s, uncut(compass.reported.values, compass.quantum_mgauss))
-    return replace(
-        track, compasses={**track.compasses, instance: replace(compass, reported=middle, truncated=False)}
-    )
-
-
 def dwell_between(
     track: Track, instance: int, start_s: float, end_s: float, turn: TurnRecord | None = None
 ) -> Dwell:
@@ -181,7 +160,7 @@ def _dwell(
     reported: FloatArray,
     record: TurnRecord | None,
 ) -> Dwell:
-    felt_s = time - field_lag_s(track)
+    felt_s = time - track.field_lag_s
     angles = record.angle_at(felt_s) if record is not None else np.zeros(time.size)
     down = down_in_body(track, felt_s)
     motion = np.column_stack([angles, down[:, :2]])

@@ -27,7 +27,6 @@ from mavcompass.calibration.observation.dwells import (
     FourPositionData,
     Step,
     dwell_between,
-    field_lag_s,
 )
 from mavcompass.calibration.observation.rolling import rolls
 from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD, accelerometer_sigma_rad
@@ -174,7 +173,7 @@ def turns_between(
     Raises PoorCalibration where the recording has no gyro.
     """
     record = turn or require_turn(track, instance)
-    lag = field_lag_s(track)
+    lag = track.field_lag_s
     times = track.compasses[instance].time_s
     angles = []
     for dwell in dwells:

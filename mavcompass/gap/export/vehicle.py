@@ -9,8 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mavcompass.chance import chi_square_of
+from mavcompass.correction import IDENTITY
 from mavcompass.frames import FloatArray
-from mavcompass.gap.replay.nuisance import calibration_in_force, known_iron
+from mavcompass.gap.replay.nuisance import known_iron
 from mavcompass.gap.result import FIELD, MOTOR, Belief, Cause, Diagnosis
 from mavcompass.simulation.effects import Setting, get
 from mavcompass.simulation.effects.effect import Distortion, Signals
@@ -89,7 +90,7 @@ def left_of_the_place(diagnosis: Diagnosis) -> float:
 
 def nominal_settings(track: Track, instance: int = 1) -> list[Setting]:
     """Return the iron that a recording's calibration in force cures: the vehicle as far as it is known."""
-    correction = calibration_in_force(track.compasses[instance])
+    correction = track.compasses[instance].calibration or IDENTITY
     iron = known_iron(correction, np.zeros(0), correction.motor_source)
     motor = iron.motor_mgauss if iron.source == "current" else np.zeros(3)
     return _iron(iron.matrix, iron.offset_mgauss, motor)

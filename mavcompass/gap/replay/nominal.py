@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcompass.correction import IDENTITY
 from mavcompass.earth_field import middle_place
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, rotate, rotate_back, wrap_pi
@@ -30,7 +31,6 @@ from mavcompass.gap.replay.nuisance import (
     WORLD_FIELD,
     KnownIron,
     Nuisance,
-    calibration_in_force,
     known_iron,
     load_of,
     reference_attitude_error,
@@ -154,7 +154,7 @@ def replay(
     whole = reference_attitude(track, rows.time_s, choice, instance, picked)
     told_mgauss = rows.raw_mgauss if rows.corrected_mgauss is None else rows.corrected_mgauss
     field, sigma, field_notes = world_field(track, instance, rows.time_s, whole, told_mgauss)
-    correction = calibration_in_force(compass)
+    correction = compass.calibration or IDENTITY
     known = whole.known & rows.usable
     raw, corrected, usable, told_s = rows.raw_mgauss, rows.corrected_mgauss, rows.usable, 0.0
     swings = np.zeros_like(raw)

@@ -24,7 +24,6 @@ from mavcompass.gap.attitude.kinematics import exponentials
 from mavcompass.gap.attitude.reference import UNKNOWN_YAW_RAD
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S, late_field
 from mavcompass.simulation.effects.effect import Effect, Memory, Parameter, Rng, Signals, Stage
-from mavcompass.track import MagSeries
 
 _TURNS = 6
 REFERENCE_YAW, TELEMETRY_AGE = "reference yaw", "telemetry age"
@@ -255,13 +254,6 @@ class KnownIron:
             parameters += tuple(Parameter(f"motor_{n}", "mG", -2000.0, 2000.0, 0.0, 1.0) for n in "xyz")
         title = "the offset that the calibration in force cures"
         return Effect(IRON_OFFSET, title, Stage.FIELD, parameters, forward)
-
-
-def calibration_in_force(compass: MagSeries) -> FieldCorrection:
-    """Return the last calibration that was in force, the identity where the recording does not tell one."""
-    if compass.not_applied is not None:
-        return compass.not_applied
-    return compass.in_force[-1].correction if compass.correction_known else IDENTITY
 
 
 def known_iron(correction: FieldCorrection, load: FloatArray, source: MotorSource) -> KnownIron:

@@ -21,7 +21,7 @@ from mavcompass.gap.replay.integrity import Trace, coarse_step, inspect
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
 from mavcompass.simulation.effects.sampling import at_times
-from mavcompass.track import MagSeries, Series, Track, uncut
+from mavcompass.track import MagSeries, Track
 
 # A clock is looked for in pieces, since no clock is even for ever.
 _PIECE_S, _FEWEST = 60.0, 60
@@ -141,8 +141,8 @@ def compass_rows(
     reported = compass.reported.values[keep]
     logged = inspect(reported, np.asarray(np.isfinite(reported).all(axis=1)), time_s, track.gyro_radps)
     telemetry = track.autopilot != "unknown" or _slower_than_logged(~logged.stale)
-    restored = _restored(compass)
-    raw = replace(track, compasses={compass.instance: restored}).raw_field(compass.instance)[keep]
+    restored = replace(track, compasses={compass.instance: compass}).centred(compass.instance)
+    raw = restored.raw_field(compass.instance)[keep]
     if telemetry:
         step = coarse_step(raw, np.asarray(np.isfinite(raw).all(axis=1)))
         logged = replace(logged, step_mgauss=max(step, logged.step_mgauss))
@@ -158,8 +158,9 @@ def compass_rows(
         if step == 0.0 and fresh.sum() < _BROUGHT_NEW * fresh.size:
             lost = np.diff(compass.time_s, prepend=compass.time_s[0]) > _LOST * message_s
             time_s = reading_times(time_s, message_s, lost[keep])
-    corrected = _corrected(track, restored)
-    corrected = None if corrected is None else corrected[keep]
+    inside = any(step.correction != IDENTITY for step in compass.in_force)
+    calibrated = compass.correction_known and (compass.not_applied is not None or inside)
+    corrected = restored.corrected_field(compass.instance)[keep] if calibrated else None
     finite = np.asarray(np.isfinite(raw).all(axis=1))
     usable = finite
     trace = logged if telemetry else inspect(raw, finite, time_s)
@@ -185,26 +186,6 @@ def _more_readings(track: Track, few: int) -> str:
     if most > max(few, FEWEST_ROWS):
         return f"Compass {instance} has {most}: choose it with --compass {instance}, or record for longer."
     return "Record at least half a minute of turning."
-
-
-def _restored(compass: MagSeries) -> MagSeries:
-    """Put the mean half step back where numbers were cut toward zero."""
-    if not compass.truncated or compass.quantum_mgauss <= 0.0:
-        return compass
-    restored = uncut(compass.reported.values, compass.quantum_mgauss)
-    return replace(compass, reported=Series.of(compass.time_s, restored))
-
-
-def _corrected(track: Track, compass: MagSeries) -> FloatArray | None:
-    """Return the readings (N, 3) with the calibration in force; None where there is none."""
-    if not compass.correction_known:
-        return None
-    if compass.not_applied is not None:
-        load = track.motor_load(compass.time_s, compass.not_applied.motor_source)
-        return compass.not_applied.apply(compass.reported.values, load)
-    if all(step.correction == IDENTITY for step in compass.in_force):
-        return None
-    return np.asarray(compass.reported.values)
 
 
 def shared_period_s(tracks: Sequence[Track], instance: int) -> float:

@@ -15,7 +15,7 @@ from mavcompass.gap.attitude.reference import Reference
 from mavcompass.gap.replay.rows import FEWEST_ROWS
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.physics.signals import Stimulus
-from mavcompass.track import Series, Track, uncut
+from mavcompass.track import Series, Track
 
 # The standard deviation of a path beside which the errors of a measured position are small.
 _LEAST_PATH_M = 0.05
@@ -123,7 +123,7 @@ def _measured_by_others(
     for number, compass in track.compasses.items():
         if number == instance or not compass.correction_known or len(compass.reported) < FEWEST_ROWS:
             continue
-        values = uncut(compass.reported.values, compass.quantum_mgauss * compass.truncated)
+        values = track.centred(number).corrected_field(number)
         world = rotate(
             reference.rotation[reference.known], Series.of(compass.time_s, values).at(time_s)[reference.known]
         )

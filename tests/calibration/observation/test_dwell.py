@@ -12,9 +12,7 @@ from mavcompass.calibration.observation import (
     Dwell,
     FourPositionData,
     Step,
-    centred,
     dwell_between,
-    field_lag_s,
 )
 from mavcompass.calibration.observation.dwells import _memory
 from mavcompass.correction import FieldCorrection
@@ -148,9 +146,9 @@ def test_whole_numbers_are_taken_back() -> None:
     rounded = dwell(cut, quantum_mgauss=1.0)
     assert rounded.mean_mgauss == pytest.approx([200.0, -50.0, 400.0])
     track = standing(cut, quantum_mgauss=1.0, truncated=True)
-    middle = centred(track, 1)
+    middle = track.centred(1)
     assert middle.compasses[1].reported.values[0] == pytest.approx([200.5, -50.5, 400.5])
-    assert not middle.compasses[1].truncated and centred(middle, 1) is middle
+    assert not middle.compasses[1].truncated and middle.centred(1) is middle
 
 
 @pytest.mark.parametrize(("degrees", "sigma_mgauss"), [(4.0, 0.1), (20.0, 2.0)])
@@ -176,7 +174,7 @@ def test_the_field_lags_behind_the_gyro() -> None:
     plain = dwell_between(standing(level, turned, "px4"), 1, 1.0, 5.0)
     assert heard.turned_rad == pytest.approx(plain.turned_rad - math.radians(2.0) * 0.09)
     assert heard.turned_sigma_rad == pytest.approx(math.radians(2.0) * 0.03)
-    assert field_lag_s(Track(autopilot="px4")) == 0.0 and field_lag_s(Track(autopilot="ardupilot")) == 0.09
+    assert Track(autopilot="px4").field_lag_s == 0.0 and Track(autopilot="ardupilot").field_lag_s == 0.09
 
 
 @pytest.mark.parametrize(("mgauss", "unsteady"), [(0.1, 0.0), (6.0, 6.0), (20.0, 20.0)])
