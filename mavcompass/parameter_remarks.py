@@ -5,10 +5,12 @@ One function, whichever way the parameters came: read off a live vehicle or out 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 from mavcompass.compass_parameters import ardupilot_name, ardupilot_naming, px4_name
+from mavcompass.printable import named
 from mavcompass.steering import ARDUPILOT_COMPASSES, LEARN_INFLIGHT, PX4_COMPASSES, yaw_elsewhere
 from mavcompass.units import DEG_PER_RAD
 
@@ -29,7 +31,7 @@ def parameter_remarks(autopilot: str, parameters: Mapping[str, float], instance:
     Parameters that are absent count as their default.
     """
     remarks = _px4 if autopilot == "px4" else _ardupilot
-    return [*_steering(autopilot, parameters, instance), *remarks(parameters, instance)]
+    return [*_steering(autopilot, parameters), *remarks(parameters, instance)]
 
 
 def remarks_said(autopilot: str, parameters: Mapping[str, float], *instances: int) -> tuple[str, ...]:
@@ -38,17 +40,14 @@ def remarks_said(autopilot: str, parameters: Mapping[str, float], *instances: in
     return tuple(dict.fromkeys(said))
 
 
-def _steering(autopilot: str, parameters: Mapping[str, float], instance: int) -> list[Remark]:
+def _steering(autopilot: str, parameters: Mapping[str, float]) -> list[Remark]:
     elsewhere = yaw_elsewhere(autopilot, parameters)
     if elsewhere is None or elsewhere[1] in _SAID_OTHERWISE:
         return []
     source, name = elsewhere
     what = "from the satellite receivers" if source == "gps" else "from elsewhere"
     return [
-        Remark(
-            f"The autopilot takes its yaw {what} ({name} is {parameters[name]:g}): compass {instance} does"
-            " not steer."
-        )
+        Remark(f"The autopilot takes its yaw {what} ({name} is {parameters[name]:g}): no compass steers.")
     ]
 
 
@@ -82,7 +81,7 @@ def _ardupilot(parameters: Mapping[str, float], instance: int) -> list[Remark]:
     elif detected and first_choice and detected != first_choice:
         other = next((i for i, known in ids.items() if known == first_choice), None)
         remarks.append(Remark(_about_priority(instance, other)))
-    remarks += _same_id(ids, instance, id_name(instance))
+    remarks += _same_id(ids, instance, id_name)
     if parameters.get("COMPASS_AUTODEC") == 0.0:
         declination_deg = parameters.get("COMPASS_DEC", 0.0) * DEG_PER_RAD
         text = (
@@ -106,15 +105,16 @@ def _about_priority(instance: int, other: int | None) -> str:
     )
 
 
-def _same_id(ids: Mapping[int, float], instance: int, name: str) -> list[Remark]:
+def _same_id(ids: Mapping[int, float], instance: int, name: Callable[[int], str]) -> list[Remark]:
     """Remark on a sensor's id that stands for several compasses (ArduPilot issues 5923 and 18887)."""
     mine = ids.get(instance)
-    others = [str(i) for i, known in ids.items() if i != instance and known == mine]
-    if not mine or not others:
+    alike = [i for i, known in ids.items() if known == mine]
+    if not mine or len(alike) < 2:
         return []
     text = (
-        f"Compasses {instance} and {' and '.join(others)} have the same device id ({name} is {mine:.0f}): the"
-        " firmware cannot tell which calibration is whose. Give each its own address or node number."
+        f"{named([f'compass {i}' for i in alike]).capitalize()} have the same device id"
+        f" ({' and '.join(name(i) for i in alike)} are {mine:.0f}): the firmware cannot tell which"
+        " calibration is whose. Give each its own address or node number."
     )
     return [Remark(text)]
 
@@ -130,7 +130,7 @@ def _px4(parameters: Mapping[str, float], instance: int) -> list[Remark]:
             " own routine, which stores the id."
         )
         remarks.append(Remark(text))
-    remarks += _same_id(ids, instance, id_name)
+    remarks += _same_id(ids, instance, partial(px4_name, "ID"))
     if parameters.get("SENS_MAG_AUTOCAL", 0.0):
         text = "SENS_MAG_AUTOCAL is on: PX4 may go on changing the offsets itself in flight."
         remarks.append(Remark(text))

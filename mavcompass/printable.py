@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from difflib import get_close_matches
 
 
@@ -28,3 +28,13 @@ def did_you_mean(word: str, known: Collection[str]) -> str:
     """Return a guess at what was meant, with a comma before it, or nothing."""
     close = get_close_matches(word, known, n=1)
     return f", did you mean {close[0]!r}?" if close else ""
+
+
+def named(names: Sequence[str]) -> str:
+    """List sources as people do: "compasses 2 and 3", "compass 1 and gps-yaw"."""
+    compasses = [name.removeprefix("compass ") for name in names if name.startswith("compass ")]
+    rest = [name for name in names if not name.startswith("compass ")]
+    if len(compasses) > 1:
+        listed = " and ".join([", ".join(compasses[:-1]), compasses[-1]])
+        names = [f"compasses {listed}", *rest]
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

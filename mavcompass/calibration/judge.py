@@ -27,7 +27,8 @@ from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import euler_to_matrix, wrap_pi
 from mavcompass.heading.evidence import Evidence
-from mavcompass.heading.fault_isolation import RATHER_SOUND, FaultIsolation, isolate_faults, named
+from mavcompass.heading.fault_isolation import RATHER_SOUND, FaultIsolation, isolate_faults
+from mavcompass.printable import named
 from mavcompass.track import Track
 
 # What is left after a numbered orientation is an angle of its own from here on.

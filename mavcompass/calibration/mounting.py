@@ -27,7 +27,8 @@ from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.frames import FloatArray, euler_to_matrix
 from mavcompass.heading.evidence import expected_field
-from mavcompass.heading.fault_isolation import RATHER_SOUND, FaultIsolation, named
+from mavcompass.heading.fault_isolation import RATHER_SOUND, FaultIsolation
+from mavcompass.printable import named
 from mavcompass.track import Series, Track
 
 # A heading that is off by less is no matter of the mounting: boards are set by eye, irons bend as much.

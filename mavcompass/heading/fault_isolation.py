@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mavcompass.frames import FloatArray, wrap_pi
+from mavcompass.printable import named
 
 # Before anything is seen, one compass in fifty is mounted otherwise than set, or broken; of what is none one
 # source in two hundred is wrong about the nose (antennas swapped, driven backwards all along).
@@ -183,13 +184,3 @@ def _error2(source: HeadingSource, centre: FloatArray, sound: bool) -> float:
     away = np.nan_to_num(np.asarray(source.deviation_rad) - centre)
     apart2 = float(wrap_pi(away[0])) ** 2 + 0.5 * float(away[1:] @ away[1:])
     return max(source.sigma_rad**2, apart2) if sound else source.sigma_rad**2 + apart2
-
-
-def named(names: Sequence[str]) -> str:
-    """List sources as people do: "compasses 2 and 3", "compass 1 and gps-yaw"."""
-    compasses = [name.removeprefix("compass ") for name in names if name.startswith("compass ")]
-    rest = [name for name in names if not name.startswith("compass ")]
-    if len(compasses) > 1:
-        listed = " and ".join([", ".join(compasses[:-1]), compasses[-1]])
-        names = [f"compasses {listed}", *rest]
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)

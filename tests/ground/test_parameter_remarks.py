@@ -18,7 +18,7 @@ ARDUPILOT: list[tuple[dict[str, float], int, list[str]]] = [
     ({"COMPASS_LEARN": 2.0, "COMPASS_ENABLE": 0.0}, 1, ["switched off", "go on changing"]),
     ({"COMPASS_USE2": 0.0}, 1, []),
     ({"COMPASS_USE2": 0.0}, 2, ["COMPASS_USE2 is 0"]),
-    ({"EK3_SRC1_YAW": 2.0}, 2, ["satellite receivers (EK3_SRC1_YAW is 2): compass 2 does not steer"]),
+    ({"EK3_SRC1_YAW": 2.0}, 2, ["satellite receivers (EK3_SRC1_YAW is 2): no compass steers"]),
     ({"EK3_SRC1_YAW": 6.0}, 1, ["from elsewhere (EK3_SRC1_YAW is 6)"]),
     (TWO | {"COMPASS_PRIO1_ID": 5.0, "COMPASS_PRIO2_ID": 6.0}, 1, []),
     (TWO | {"COMPASS_PRIO1_ID": 6.0}, 1, ["compass 2's: after the next start"]),
@@ -26,7 +26,11 @@ ARDUPILOT: list[tuple[dict[str, float], int, list[str]]] = [
     (TWO | {"COMPASS_PRIO1_ID": 9.0}, 1, ["a sensor that was not found"]),
     ({"COMPASS_PRIO1_ID": 6.0}, 1, []),  # what is not there changes no places
     (TWO | {"COMPASS_PRIO1_ID": 0.0}, 1, []),
-    (TWO | {"COMPASS_DEV_ID2": 5.0}, 2, ["Compasses 2 and 1 have the same device id (COMPASS_DEV_ID2 is 5)"]),
+    (
+        TWO | {"COMPASS_DEV_ID2": 5.0},
+        2,
+        ["Compasses 1 and 2 have the same device id (COMPASS_DEV_ID and COMPASS_DEV_ID2 are 5)"],
+    ),
     ({"COMPASS_DEV_ID": 0.0, "COMPASS_DEV_ID2": 0.0}, 1, ["COMPASS_DEV_ID is 0 although"]),
     ({"COMPASS1_OFS_X": 1.0, "COMPASS1_DEV_ID": 4.0, "COMPASS3_DEV_ID": 4.0}, 3, ["the same device id"]),
     ({"COMPASS_AUTODEC": 1.0, "COMPASS_DEC": 0.1}, 1, []),
@@ -61,6 +65,7 @@ def test_what_is_remarked(
 
 def test_what_is_true_of_all_compasses_is_said_once() -> None:
     assert len(remarks_said("ardupilot", {"COMPASS_AUTODEC": 0.0}, 1, 2, 3)) == 1
+    assert len(remarks_said("px4", {"CAL_MAG1_ID": 7.0, "CAL_MAG2_ID": 7.0, "EKF2_MAG_TYPE": 5.0}, 2, 3)) == 2
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mavcompass.heading.fault_isolation import FAULT, HeadingSource, isolate_faults, named
+from mavcompass.heading.fault_isolation import FAULT, HeadingSource, isolate_faults
+from mavcompass.printable import named
 
 at = HeadingSource.at
 FITS = {"dip": 0.3, "strength": -0.4}

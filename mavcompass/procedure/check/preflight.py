@@ -127,7 +127,7 @@ class _Checker:
             self._judge_field(track, window)
         gyro = track.gyro_radps
         rates = None if gyro is None else gyro.between(window.start_s, window.end_s)
-        if rates is not None and len(rates):
+        if rates is not None and len(rates) and window.rested:  # else it is the vehicle that turns
             turning = [seen for r in self.readings if (seen := self._turning(track, r, window)) is not None]
             self._add(items.judge_gyro(rates.values, turning))
         estimator = items.judge_estimator(self.desk.state.ekf or self.desk.state.estimator)

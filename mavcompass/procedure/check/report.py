@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from mavcompass.heading.fault_isolation import named
-from mavcompass.printable import counted
+from mavcompass.printable import counted, named
 from mavcompass.procedure.check import items
 from mavcompass.procedure.check.items import CheckItem, Verdict
 from mavcompass.procedure.turning import strategies_for
 from mavcompass.procedure.vehicle_state import VehicleIdentity
 
 SCHEMA = "mavcompass.check/1"
-_GOES = {"copter": "fly", "sub": "dive", "boat": "sail"}
+_GOES = {"copter": "fly", "plane": "fly", "sub": "dive", "boat": "sail"}
 
 
 def _is_calibration(item: CheckItem) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,6 +19,7 @@ from mavcompass.heading.fault_isolation import HeadingSource
 from mavcompass.procedure.check import CheckReport, CheckSettings, check, items
 from mavcompass.procedure.script import Machine, Show
 from mavcompass.simulation.physics.compasses import CompassSetup
+from mavcompass.simulation.physics.hand import HandMove
 from mavcompass.simulation.physics.sensors import CompassModel
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.dialects import make_dialect
@@ -63,6 +65,13 @@ def test_a_disarmed_vehicle_is_checked_without_a_turn() -> None:
     asked_for = checked(vehicle, "vehicle")
     assert verdicts(asked_for, "turn") == ["warn"]
     assert "disarmed" in next(i.text for i in asked_for.items if i.name == "turn")
+
+
+def test_what_turns_all_along_shows_no_drift_of_its_gyro() -> None:
+    vehicle = SimulatedAutopilot("rover", seed=2, calibration="exact")
+    vehicle.turn_by_hand([HandMove(math.radians(90.0), 1.0, 0.0)] * 60)
+    report = checked(vehicle, "none")
+    assert verdicts(report, "stillness") == ["warn"] and verdicts(report, "gyro") == []
 
 
 def test_the_check_changes_nothing_on_the_vehicle() -> None:
