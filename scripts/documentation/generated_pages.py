@@ -7,7 +7,6 @@ that raises one: none of them can go stale.
 from __future__ import annotations
 
 import ast
-import html
 import inspect
 import re
 import textwrap
@@ -57,18 +56,14 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def on_page_markdown(markdown: str, config: MkDocsConfig, **_: object) -> str:
     """Let links to files beside docs/ lead to the repository; set equations beside their numbers."""
     linked = re.sub(r"\]\(\.\./([^)]+)\)", rf"]({config.repo_url}/blob/main/\1)", markdown)
-    return re.sub(r"(?:^    .*\n)+", _equation, linked, flags=re.MULTILINE)
+    return re.sub(r"^\$\$\n(.*) \\tag\{(.*)\}\n\$\$\n", _equation, linked, flags=re.MULTILINE)
 
 
-def _equation(block: re.Match[str]) -> str:
-    """Set an indented block that has an equation's number, (M1), at the end of a line; else leave it."""
-    lines = [line.removeprefix("    ").rstrip() for line in block[0].splitlines()]
-    numbers = [found for line in lines if (found := re.search(r"  +\(([A-Z]\d+[a-z]?)\)$", line))]
-    if not numbers:
-        return block[0]
-    text = html.escape("\n".join(re.sub(r"  +\([A-Z]\d+[a-z]?\)$", "", line) for line in lines))
-    told = " ".join(f"({found[1]})" for found in numbers)
-    return f'<div class="equation"><code>{text}</code><span>{told}</span></div>\n'
+def _equation(found: re.Match[str]) -> str:
+    """Set an equation in MathML, which browsers draw by themselves, its number beside it."""
+    from latex2mathml.converter import convert
+
+    return f'<div class="equation">{convert(found[1], display="block")}<span>({found[2]})</span></div>\n'
 
 
 def commands() -> str:
