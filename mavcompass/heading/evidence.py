@@ -37,8 +37,8 @@ _NO_HEADING_RAD = math.radians(30.0)
 _AVERAGED = 20
 # Two headings from the same readings agree no better: the wire's whole numbers, and times.
 FLOOR_RAD = math.radians(0.1)
-# One sigma of A: antennas as they are aligned; an autopilot's yaw; a wheel's or keel's course, and a wing's; an
-# accelerometer beside a receiver.
+# One sigma of A: antennas as they are aligned; an autopilot's yaw; a wheel's or keel's course, and a wing's;
+# an accelerometer beside a receiver.
 _ANTENNA_RAD = math.radians(1.5)
 _AUTOPILOT_RAD, _COURSE_RAD, _ACCELERATION_RAD = math.radians(3.0), math.radians(3.0), math.radians(6.0)
 # Of a declination that is not known: where people drive it is rarely beyond 20 degrees.

@@ -10,6 +10,8 @@ which is the tilt-compensated heading written without angles: only the horizonta
 from __future__ import annotations
 
 import math
+from cmath import exp, phase
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from mavcompass.attitude.level import Level, Vector, dot
@@ -17,6 +19,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray
 from mavcompass.heading.doubt import TILT_SIGMA_RAD, UNKNOWN_CALIBRATION_SIGMA_RAD, CalibrationDoubt
+from mavcompass.heading.fault_isolation import HeadingSource, isolate_faults
 
 _TWO_PI = 2.0 * math.pi
 # Autopilots average the compass over 100 ms and repeat it: a turning vehicle's reading is old by about this
@@ -26,6 +29,8 @@ _QUANTUM_SIGMA_MGAUSS = 1.0 / math.sqrt(12.0)
 # What the field's strength tells of the calibration is averaged over some fifty readings a sector, and looked
 # at so often.
 _KEEP, _LOOK_S = 0.98, 0.5
+# Compasses are held against each other over so long, while both are heard and the lag of neither matters.
+_AGREE_S, _TOGETHER_S, _SLOW_RADPS = 10.0, 1.0, math.radians(10.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +78,8 @@ class LiveCompass:
         calibration_sigma_rad: heading sigma of the calibration in force.
         world: the Earth's field at the vehicle, None while its place is unknown.
         latest: the last heading, None before the first.
+        own_sigma_rad: its sigma by what this compass alone shows. beyond_rad: how far it may be off beyond
+            that by what others show, see `Agreement`.
     """
 
     def __init__(self, instance: int) -> None:
@@ -86,6 +93,7 @@ class LiveCompass:
 
     def restart(self) -> None:
         """Forget how noisy and how far off the field was: the correction in force has changed."""
+        self.own_sigma_rad = self.beyond_rad = 0.0
         self._before: Vector | None = None
         self._new_at_rad = 0.0  # turned when the reading was new
         self._doubt, self._looked_s = CalibrationDoubt(0.0, self.world), -math.inf
@@ -123,7 +131,8 @@ class LiveCompass:
             return None
         magnetic = math.atan2(-across, along) % _TWO_PI
         true = None if self._declination_rad is None else (magnetic + self._declination_rad) % _TWO_PI
-        sigma = self._sigma_rad(time_s, m, (along, across, below), horizontal, level)
+        self.own_sigma_rad = self._sigma_rad(time_s, m, (along, across, below), horizontal, level)
+        sigma = min(math.hypot(self.own_sigma_rad, self.beyond_rad), math.pi)
         turned = level.turned_at(boot_s - _LAG_S)
         field = (along, across, below)
         self.latest = Heading(time_s, boot_s, self.instance, magnetic, true, sigma, field, turned)
@@ -149,3 +158,37 @@ class LiveCompass:
         lag = turning * _LAG_SIGMA_S + abs(level.turned_rad - self._new_at_rad)
         variance = across2 / strength**2 + noise / (horizontal * horizontal) + tilt * tilt + lag * lag
         return min(math.sqrt(variance), math.pi)
+
+
+class Agreement:
+    """Hold a vehicle's compasses against each other: what stands apart claims no less than that."""
+
+    def __init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget how they stood: a calibration was changed."""
+        self._apart: dict[int, complex] = {}  # each heading less the first compass's, averaged
+        self._heard_s: dict[int, float] = {}
+        self._looked_s = -math.inf
+
+    def hear(self, heading: Heading, compasses: Mapping[int, LiveCompass], rate_radps: float) -> None:
+        """Take a heading by one of the compasses, while the vehicle turns so fast; tell all what follows."""
+        first, instance, now_s = compasses[min(compasses)].latest, heading.instance, heading.time_s
+        if first is None or now_s - first.time_s > _TOGETHER_S or abs(rate_radps) > _SLOW_RADPS:
+            return
+        kept = math.exp((self._heard_s.get(instance, -math.inf) - now_s) / _AGREE_S)
+        apart = exp(1j * (heading.magnetic_rad - first.magnetic_rad))
+        self._apart[instance] = apart + kept * (self._apart.get(instance, apart) - apart)
+        self._heard_s[instance] = now_s
+        if now_s - self._looked_s < _LOOK_S:
+            return
+        self._looked_s = now_s
+        found = isolate_faults(
+            [
+                HeadingSource(f"compass {i}", (phase(apart), math.nan, math.nan), compasses[i].own_sigma_rad)
+                for i, apart in self._apart.items()
+            ]
+        )
+        for k, i in enumerate(self._apart):
+            compasses[i].beyond_rad = found.beyond_rad(k)

@@ -13,7 +13,7 @@ from mavcompass.calibration.result import CalibrationResult
 from mavcompass.compass_parameters import is_calibrated
 from mavcompass.earth_field import EarthField
 from mavcompass.heading.doubt import prior_sigma_rad
-from mavcompass.heading.live import Heading, LiveCompass
+from mavcompass.heading.live import Agreement, Heading, LiveCompass
 from mavcompass.messages import telemetry
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState
 from mavcompass.service.watch import Glance
@@ -52,6 +52,7 @@ class VehicleView:
     boot_s: float = -math.inf
     reconnects: int = 0
     reboots: int = 0
+    _agreement: Agreement = field(default_factory=Agreement)
     _preferred_s: float = -math.inf
     _world_at: mav.GlobalPositionInt | None = None
 
@@ -102,7 +103,10 @@ class VehicleView:
             compass.set_world(self.world)
             self._tell_correction(compass)
         field_mgauss = (float(imu.xmag), float(imu.ymag), float(imu.zmag))
-        return compass.update(time_s, boot_s, field_mgauss, self.level)
+        heading = compass.update(time_s, boot_s, field_mgauss, self.level)
+        if heading is not None:
+            self._agreement.hear(heading, self.compasses, self.level.rate_radps)
+        return heading
 
     def restarted(self, message: mav.Message) -> bool:
         """Tell whether a message shows that the vehicle's clock began anew."""
@@ -137,6 +141,7 @@ class VehicleView:
     def set_parameters(self, parameters: Mapping[str, float]) -> None:
         """Take the compass parameters in force."""
         self.parameters, self.fresh = dict(parameters), True
+        self._agreement.restart()
         for compass in self.compasses.values():
             compass.restart()
             self._tell_correction(compass)
@@ -148,6 +153,7 @@ class VehicleView:
 
     def calibrated(self, results: Iterable[CalibrationResult]) -> None:
         """Take what was just written, so that the heading is told with the doubt of that from now on."""
+        self._agreement.restart()
         for result in results:
             compass = self.compasses.get(result.instance)
             if compass is None or not result.accepted or result.already_right:

@@ -14,7 +14,7 @@ from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkLost, NoReply, Refused
 from mavcompass.heading.compute import grid_convergence_rad
 from mavcompass.heading.doubt import prior_sigma_rad
-from mavcompass.heading.live import LiveCompass
+from mavcompass.heading.live import Agreement, LiveCompass
 from mavcompass.heading.two_axis import TwoAxisCompass
 from mavcompass.messages.telemetry import field_mgauss, imu_time_s
 from mavcompass.parameter_remarks import remarks_said
@@ -28,6 +28,9 @@ from mavcompass.vehicle.driver import SILENCE_S, run
 from mavcompass.vehicle.link import Link
 
 _KINDS: dict[int, type[mav.Message]] = {1: mav.RawImu, 2: mav.ScaledImu2, 3: mav.ScaledImu3}
+_INSTANCES: dict[type[mav.Message], int] = {mav.ScaledImu: 1} | {kind: i for i, kind in _KINDS.items()}
+# The compasses beside the one that is asked for need not be heard as often.
+_BESIDE_HZ = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +67,7 @@ def headings(
 ) -> Iterator[LiveHeading]:
     """Yield the heading of one compass for as long as the vehicle speaks; close it to restore the rates.
 
+    What the vehicle's other compasses show beside it may widen its sigma.
     `on_notes` is told, once, what to know of the parameters.
     Raises NoVehicle, UsageError where several are heard and `system` picks none, LinkLost, and Refused for a
     compass that the vehicle does not have, a two-axis heading where the place is unknown, or where two
@@ -95,8 +99,8 @@ def _begin(
     first = mav.ScaledImu if identity.autopilot == "px4" else mav.RawImu
     wanted: dict[type[mav.Message], float] = {first: rate_hz, mav.GlobalPositionInt: 2.0, mav.SystemTime: 1.0}
     wanted |= {mav.Attitude: rate_hz, mav.GpsRawInt: 5.0}
-    if instance > 1:
-        wanted[_KINDS[instance]] = rate_hz
+    beside = {i: min(rate_hz, _BESIDE_HZ) for i in dialect.instances(parameters)}
+    wanted |= {_KINDS[i]: hz for i, hz in {**beside, instance: rate_hz}.items() if i > 1}
     yield from rates.ask(context, wanted)
     if instance not in dialect.instances(parameters):
         kind = first if instance == 1 else _KINDS[instance]
@@ -112,22 +116,13 @@ def _begin(
 
 
 def _stream(link: Link, source: str, start: _Start, instance: int, two_axis: bool) -> Iterator[LiveHeading]:
-    compass, level = LiveCompass(instance), Level(start.identity.kind)
-    compass.set_world(start.world)
-    dialect = make_dialect(start.identity.autopilot, source)
-    rotation = dialect.raw_rotation(start.parameters, instance)
-    in_force = dialect.correction(start.parameters, instance)
-    compass.calibration_sigma_rad = prior_sigma_rad(
-        is_calibrated(start.identity.autopilot, start.parameters, instance, in_force)
-    )
-    if rotation is not None:
-        compass.set_uncorrected(in_force, rotation)
+    compasses: dict[int, LiveCompass] = {}
+    level, agreement = Level(start.identity.kind), Agreement()
     flat = (
         TwoAxisCompass(start.world.total_mgauss, start.world.inclination_rad)
         if two_axis and start.world is not None
         else None
     )
-    kinds = (_KINDS[instance],) if instance > 1 else (mav.RawImu, mav.ScaledImu)
     chosen: type[mav.Message] | None = None
     heard_s = link.now()
     while True:
@@ -141,18 +136,38 @@ def _stream(link: Link, source: str, start: _Start, instance: int, two_axis: boo
         heard_s = heard.time_s
         message = heard.message
         hear(level, message)
-        if type(message) not in kinds or chosen not in (None, type(message)):
+        of = _INSTANCES.get(type(message))
+        if of is None or (of == 1 and chosen not in (None, type(message))):
             continue
-        chosen = type(message)  # RAW_IMU and SCALED_IMU both carry compass 1: one of them is enough
+        if of == 1:
+            chosen = type(message)  # RAW_IMU and SCALED_IMU both carry compass 1: one of them is enough
+        if of not in compasses:
+            compasses[of] = _compass(source, start, of)
         boot_s = float(imu_time_s(message))
-        found = compass.update(heard.time_s, boot_s, _three(field_mgauss(message)), level)
+        found = compasses[of].update(heard.time_s, boot_s, _three(field_mgauss(message)), level)
         if found is None:
+            continue
+        agreement.hear(found, compasses, level.rate_radps)
+        if of != instance:
             continue
         magnetic = found.magnetic_rad
         if flat is not None:
             x, y, _ = _three(field_mgauss(message))
             magnetic = flat.update(x, y, level.roll_rad, level.pitch_rad)
         yield _heading(boot_s, magnetic, found.sigma_rad, start)
+
+
+def _compass(source: str, start: _Start, instance: int) -> LiveCompass:
+    compass, dialect = LiveCompass(instance), make_dialect(start.identity.autopilot, source)
+    compass.set_world(start.world)
+    in_force = dialect.correction(start.parameters, instance)
+    compass.calibration_sigma_rad = prior_sigma_rad(
+        is_calibrated(start.identity.autopilot, start.parameters, instance, in_force)
+    )
+    rotation = dialect.raw_rotation(start.parameters, instance)
+    if rotation is not None:
+        compass.set_uncorrected(in_force, rotation)
+    return compass
 
 
 def _heading(boot_s: float, magnetic: float, sigma: float, start: _Start) -> LiveHeading:

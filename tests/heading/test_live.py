@@ -13,7 +13,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import euler_to_matrix
 from mavcompass.heading.doubt import TILT_SIGMA_RAD, UNKNOWN_CALIBRATION_SIGMA_RAD
-from mavcompass.heading.live import LiveCompass, Vector
+from mavcompass.heading.live import Agreement, LiveCompass, Vector
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 G = STANDARD_GRAVITY_MPS2
@@ -127,3 +127,29 @@ def test_no_sigma_is_larger_than_the_circle() -> None:
     level.sigma_rad = 1.0
     heading = compass.update(0.0, 0.0, (2.0, 0.0, 400.0), level)
     assert heading is not None and heading.sigma_rad == math.pi
+
+
+def test_what_stands_apart_from_the_others_claims_no_less() -> None:
+    level, agreement = leaning(0.0, 0.0), Agreement()
+    compasses = {i: LiveCompass(i) for i in (1, 2, 3)}
+
+    def beyond_deg(first_yaw_deg: float, from_s: float, rate_radps: float = 0.0) -> list[float]:
+        for time_s in np.arange(from_s, from_s + 5.0, 0.1).tolist():
+            for i, compass in compasses.items():
+                yaw = math.radians(first_yaw_deg if i == 1 else 20.0)
+                compass.calibration_sigma_rad = math.radians(1.0)
+                heading = compass.update(time_s, time_s, in_body(0.0, 0.0, yaw, (230.0, 0.0, 420.0)), level)
+                assert heading is not None
+                agreement.hear(heading, compasses, rate_radps)
+        return [math.degrees(compass.beyond_rad) for compass in compasses.values()]
+
+    assert max(beyond_deg(20.0, 0.0)) < 0.1
+    agreement.restart()
+    assert max(beyond_deg(110.0, 5.0, rate_radps=0.5)) < 0.1  # while it turns, each is late by its own time
+    first, *others = beyond_deg(110.0, 10.0)
+    assert first == pytest.approx(90.0, abs=2.0) and max(others) < 2.0
+    latest = compasses[1].latest
+    assert latest is not None and math.degrees(latest.sigma_rad) == pytest.approx(first, abs=0.5)
+    compasses[1].restart()
+    agreement.restart()
+    assert max(beyond_deg(20.0, 15.0)) < 0.1

@@ -65,6 +65,15 @@ def test_it_points_where_the_nose_does(kind: str) -> None:
     assert all(h.grid_rad is not None and 0.0 <= h.grid_rad < 2.0 * math.pi for h in found)
 
 
+@pytest.mark.parametrize(("orientation", "least_deg"), [(0, 0.0), (2, 30.0), (4, 60.0)])
+def test_one_that_is_mounted_turned_claims_what_it_is_off(orientation: int, least_deg: float) -> None:
+    effects = (f"orientation:orientation={orientation}",) if orientation else ()
+    link = SimulatedLink(SimulatedAutopilot("rover", seed=2, calibration="exact", effects=effects))
+    found = first(link, 80)[-1]
+    off, claimed = abs(off_deg(found, link)), math.degrees(found.sigma_rad)
+    assert least_deg <= off < 1.05 * claimed and claimed < off + 4.0
+
+
 def test_the_declination_is_the_dates() -> None:
     link = listening()
     link.unix_s = 59.0 * 31_556_952.0  # 2029
