@@ -15,6 +15,7 @@ from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.signals import Reading, Signals
 from mavcompass.simulation.vehicle import SimulatedAutopilot
+from mavcompass.vehicle.links.simulated import SimulatedLink
 
 
 @dataclass
@@ -63,6 +64,25 @@ def test_on_the_ground_it_loads_the_calibration_that_disarming_has_overwritten(t
     assert heading_error_rms_deg(vehicle, 1, in_force) < 1.0
     assert not report.steers_off and abs(report.heading.error_after_deg) < 2.0
     assert report.heading.by.startswith("PX4's own reset")
+
+
+class SlowComputer(SimulatedLink):
+    """Solve for so long that what comes meanwhile is lost; the vehicle turns by itself then."""
+
+    def append(self, text: str) -> None:
+        if text.startswith("Compass 1"):
+            self.autopilot.advance(self.now() + 2.0)
+            self._heard.clear()
+            self._now_s = self.autopilot.time_s
+            self.autopilot.body.yaw_rad += 1.0  # type: ignore[attr-defined]
+
+
+def test_what_it_turned_unheard_is_no_part_of_the_proof(tmp_path: Path) -> None:
+    link = SlowComputer(bent_vehicle("px4-copter", seed=3))
+    report = calibrated(link.autopilot, tmp_path, link=link, shown=link)  # type: ignore[arg-type]
+    assert report.proof is not None and report.written
+    turn = report.proof.compasses[0]
+    assert abs(turn.gyro_turned_deg) > 30.0 and abs(turn.difference_deg) < 2.0 and turn.tolerance_deg < 5.0
 
 
 def test_a_sensor_that_only_its_parameters_remember_is_left_as_it_is(tmp_path: Path) -> None:

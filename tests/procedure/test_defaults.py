@@ -72,5 +72,5 @@ def test_what_holds_where_nothing_is_said(settings: Any, promised: dict[str, Any
 
 def test_a_gyros_angle_begins_at_nothing_and_upright() -> None:
     gyro = GyroAngle()
-    begun = (gyro.angle_rad, gyro.rate_radps, gyro.bias_radps, gyro.gap_s, gyro.samples, gyro.latest_s)
-    assert begun == (0.0, 0.0, 0.0, 0.0, 0, -math.inf) and gyro._down == (0.0, 0.0, 1.0)
+    begun = (gyro.angle_rad, gyro.rate_radps, gyro.bias_radps, gyro.samples, gyro.broken_s, gyro.latest_s)
+    assert begun == (0.0, 0.0, 0.0, 0, -math.inf, -math.inf) and gyro._down == (0.0, 0.0, 1.0)

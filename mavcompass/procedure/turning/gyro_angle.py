@@ -24,14 +24,14 @@ class GyroAngle:
         angle_rad: turned since the start, clockwise seen from above is positive.
         rate_radps: the latest rate about the vertical, bias taken out.
         bias_radps: what the gyro says at rest; set by `note_rest`.
-        gap_s: the longest silence since the start.
+        broken_s: vehicle time up to which, last, a turn was not heard; -inf where there was no such silence.
         samples: IMU messages heard.
     """
 
     angle_rad: float = 0.0
     rate_radps: float = 0.0
     bias_radps: float = 0.0
-    gap_s: float = 0.0
+    broken_s: float = -math.inf
     samples: int = 0
     latest_s: float = -math.inf
     _down: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -58,9 +58,10 @@ class GyroAngle:
         raw_rate = self._rate_about_vertical(message, step_s)
         rate = raw_rate - self.bias_radps
         if math.isfinite(step_s):
-            self.gap_s = max(self.gap_s, step_s)
             if step_s <= _LONGEST_GAP_S:
                 self.angle_rad += 0.5 * (rate + self.rate_radps) * step_s
+            else:
+                self.broken_s = time_s
         self.rate_radps, self.latest_s = rate, time_s
         self.samples += 1
 

@@ -14,6 +14,9 @@ from mavcompass.vehicle.transport.transport import READ_BYTES, Peer
 _FORGET_PEER_S = 60.0
 # Anybody may send from any number of addresses; a vehicle and its stations are a handful.
 _MOST_PEERS = 1024
+# What comes while a calibration is solved waits in the kernel, for seconds on a small computer. PX4 was seen
+# to send 800 datagrams a second, each of which counts there as a kilobyte. The kernel may allow less.
+_BUFFER_BYTES = 4 << 20
 
 
 class UdpTransport:
@@ -21,6 +24,7 @@ class UdpTransport:
 
     def __init__(self, name: str, bound: socket.socket, first_peer: Peer | None = None) -> None:
         bound.setblocking(False)
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
         self.name = name
         self._socket = bound
         self._first_peer = first_peer

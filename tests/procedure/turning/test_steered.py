@@ -209,7 +209,7 @@ def test_the_angle_is_the_trapezoids_and_late_readings_change_nothing() -> None:
     for time_s, deg_s in ((1.0, 0.0), (1.5, 10.0), (2.0, 10.0), (1.8, 99.0), (2.0, 99.0), (2.4, 0.0)):
         gyro.hear(imu(time_s, deg_s))
     assert math.degrees(gyro.angle_rad) == pytest.approx(2.5 + 5.0 + 2.0, rel=5e-3)
-    assert gyro.samples == 4 and gyro.gap_s == pytest.approx(0.5) and gyro.latest_s == 2.4
+    assert gyro.samples == 4 and gyro.broken_s == -math.inf and gyro.latest_s == 2.4
     assert gyro.rate_radps == 0.0 and gyro.tilt_rad == 0.0
 
 
@@ -219,7 +219,7 @@ def test_a_silence_of_a_second_is_not_bridged(gap_s: float, is_bridged: bool) ->
     for time_s in (1.0, 1.0 + gap_s):
         gyro.hear(imu(time_s, 20.0))
     assert math.degrees(gyro.angle_rad) == pytest.approx(20.0 * gap_s if is_bridged else 0.0, rel=5e-3)
-    assert gyro.gap_s == pytest.approx(gap_s)
+    assert gyro.broken_s == (-math.inf if is_bridged else pytest.approx(1.0 + gap_s))
 
 
 def test_one_kind_of_message_is_listened_to_and_the_bias_taken_out() -> None:

@@ -72,6 +72,14 @@ def test_nobody_to_send_to_is_counted(port: UdpTransport) -> None:
     assert link.statistics.dropped == 1
 
 
+def test_what_comes_while_we_are_busy_is_kept(port: UdpTransport) -> None:
+    with closing(vehicle_at(port).transport) as transport:
+        (peer,) = transport.peers()
+        for _ in range(400):  # half a second of PX4's telemetry
+            assert transport.write(bytes(40), peer)
+    assert sum(len(port.read()) for _ in range(2)) == 400
+
+
 # --- versions and signatures ---------------------------------------------------------------------
 
 
