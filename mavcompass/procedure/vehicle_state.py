@@ -160,6 +160,10 @@ def metres_from(start: mav.GlobalPositionInt, place: mav.GlobalPositionInt) -> t
     return (place.lat - start.lat) * 1e-7 * _M_PER_DEG, east_m
 
 
+def _on_earth(told: mav.GlobalPositionInt | mav.GpsRawInt) -> bool:
+    return abs(told.lat) <= 900_000_000 >= abs(told.lon) // 2
+
+
 # Where the latest of a message is kept, whatever is in it.
 _KEPT: dict[type[mav.Message], str] = {
     mav.Heartbeat: "heartbeat",
@@ -207,7 +211,7 @@ class VehicleState:
                     self.reporting.add(telemetry.MAG_MESSAGES[message.wire_name()])
             case mav.Attitude(roll=roll, pitch=pitch) if math.isfinite(roll) and math.isfinite(pitch):
                 self.attitude = message
-            case mav.GlobalPositionInt(lat=lat, lon=lon) if abs(lat) <= 900_000_000 >= abs(lon) // 2:
+            case mav.GlobalPositionInt() if _on_earth(message):
                 self.place = message
             case mav.LocalPositionNed(x=x, y=y, z=z) if all(map(math.isfinite, (x, y, z))):
                 self.local = message
@@ -234,9 +238,13 @@ class VehicleState:
     def world(self, year: float) -> EarthField | None:
         """Return the Earth's field at the vehicle, None where it does not know its place.
 
-        `year` (decimal) is used where it does not know the date.
+        The receiver's place counts where the estimator tells none: PX4's does not before it has a yaw. `year`
+        (decimal) is used where it does not know the date.
         """
-        place, utc = self.place, self.utc
+        place: mav.GlobalPositionInt | mav.GpsRawInt | None = self.place
+        utc, gps = self.utc, self.gps
+        if place is None and gps is not None and gps.fix_type >= telemetry.FIX_3D and _on_earth(gps):
+            place = gps
         if place is None or not (place.lat or place.lon):
             return None
         if utc is not None and utc.time_unix_usec > _NOT_DATED_US:

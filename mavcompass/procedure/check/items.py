@@ -261,6 +261,9 @@ def judge_estimator(said: mav.EkfStatusReport | mav.EstimatorStatus | None) -> C
     # Innovations by what is allowed of them: PX4 does not arm above 0.5 (COM_ARM_EKF_YAW), rejects above 1.
     ratio = said.compass_variance if isinstance(said, mav.EkfStatusReport) else said.mag_ratio
     remedy = "Wait a minute; if it stays, calibrate and restart the autopilot."
+    if math.isnan(ratio):
+        text = "The autopilot's estimator does not use the compass."
+        return CheckItem("estimator", "fail", text, "Move away from iron; if it stays, calibrate.")
     text = f"The autopilot's estimator gives the compass a variance of {ratio:.2f}."
     return _graded("estimator", ratio, 0.5, 0.8 if ardupilot else 1.0, text, remedy)
 
@@ -269,7 +272,7 @@ def judge_prearm(texts: Iterable[str]) -> list[CheckItem]:
     """Pass on what the autopilot itself has against its compasses."""
     seen: dict[str, CheckItem] = {}
     for text in texts:
-        about_compass = any(word in text.lower() for word in ("compass", "mag field", "magnetometer"))
+        about_compass = any(word in text.lower() for word in ("compass", "mag field", "magnet", "heading"))
         if about_compass and text.lower().startswith(("prearm", "arm:", "preflight")):
             seen[text] = CheckItem("prearm", "fail", f'The autopilot says "{text}".', "Calibrate.")
     return list(seen.values())

@@ -18,6 +18,7 @@ from mavcompass.calibration.observation import Dwell, assemble, dwell_between
 from mavcompass.compass_parameters import is_calibrated, orientation_name
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
+from mavcompass.enums import MavCmd
 from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.frames import FloatArray, circular_mean, wrap_pi
 from mavcompass.heading.fault_isolation import HeadingSource
@@ -109,12 +110,17 @@ class _Checker:
         wanted |= {mav.Attitude: 10.0, mav.GlobalPositionInt: 4.0, mav.SysStatus: 4.0, mav.SystemTime: 2.0}
         px4 = self.desk.identity.autopilot == "px4"
         return wanted | (
-            {mav.EstimatorStatus: 2.0} if px4 else {mav.EkfStatusReport: 2.0, mav.RcChannels: 4.0}
+            {mav.EstimatorStatus: 2.0, mav.GpsRawInt: 2.0}
+            if px4
+            else {mav.EkfStatusReport: 2.0, mav.RcChannels: 4.0}
         )
 
     def look_at_rest(self) -> Script[None]:
         """Dwell, and answer every question that needs no turn."""
-        self.desk.context.show("dwell", "Looking at the compasses at rest.", 0.3)
+        context = self.desk.context
+        if not self.desk.state.armed:  # what forbids arming is told to who asks
+            context.send(mav.CommandLong(context.system, context.component, MavCmd.RUN_PREARM_CHECKS))
+        context.show("dwell", "Looking at the compasses at rest.", 0.3)
         mover = VehicleMover(self.desk.gyro, ())  # nobody moves it yet
         self.desk.rest.compasses = self.desk.instances
         window = yield from self.desk.dwell(mover, self.settings.dwell)

@@ -121,12 +121,13 @@ class Readiness:
                 "Arm it (a copter: take off), allow that with --arm, or turn it by hand with --motion hand.",
             )
         context.show("ready", "Arming.")
-        said = yield from self._ask_to_arm(context)
+        said = yield from self._ask(context, MavCmd.COMPONENT_ARM_DISARM, 1.0, what="arming")
         if not self.state.armed:
             own = self.overrides
             if own is not None and (exemption := (yield from self._exemption(context, own, said))):
                 yield from own.hold(context, exemption)
-                arming, why = self._ask_to_arm(context), "The arming check is asked again."
+                arming = self._ask(context, MavCmd.COMPONENT_ARM_DISARM, 1.0, what="arming")
+                why = "The arming check is asked again."
                 yield from own.put_back_after(context, arming, why)
             if not self.state.armed:
                 raise Refused(
@@ -134,8 +135,10 @@ class Readiness:
                     "Put right what it names, then run again; turning it by hand needs no arming.",
                 )
 
-    def _ask_to_arm(self, context: Context) -> Script[tuple[str, ...]]:
-        """Arm it; return what it said meanwhile: the texts that say why not come beside the answer."""
+    def _ask(
+        self, context: Context, number: MavCmd, *parameters: float, what: str
+    ) -> Script[tuple[str, ...]]:
+        """Ask it to arm, or why not; return what it said meanwhile: texts come beside the answer."""
         said: list[str] = []
 
         def note(incoming: Incoming) -> None:
@@ -144,7 +147,7 @@ class Readiness:
 
         context.listeners.append(note)
         try:
-            yield from command(context, MavCmd.COMPONENT_ARM_DISARM, 1.0, what="arming")
+            yield from command(context, number, *parameters, what=what)
             end_s = context.now + 3.0
             while context.now < end_s and not self.state.armed:
                 yield from pause(context, 0.1)
@@ -158,6 +161,9 @@ class Readiness:
     ) -> Script[Mapping[str, float]]:
         """Return what sets the compass's arming check aside, where that alone refuses and a person agrees."""
         values = yield from own.dialect.arming_exemption(context, said)
+        if not values:  # PX4 says why when that begins, and when it is asked for it; not when it refuses
+            said = yield from self._ask(context, MavCmd.RUN_PREARM_CHECKS, what="its arming checks")
+            values = yield from own.dialect.arming_exemption(context, said)
         if not values:
             return {}
         what = "It refuses to arm for nothing but the compass, which is the one to be calibrated"

@@ -142,9 +142,8 @@ class Arming:
 
     def arm(self, forced: bool) -> bool:
         """Arm if nothing speaks against it, or forced."""
-        reason = None if forced else self.refusal()
-        if reason:
-            self.board.say(reason, MavSeverity.CRITICAL)
+        if not forced and self.refusal():
+            # Why, it said when that began, and says to who asks (RUN_PREARM_CHECKS).
             self.board.say("Arming denied: Resolve system health failures first", MavSeverity.CRITICAL)
             return False
         self.status.armed = True

@@ -204,23 +204,25 @@ def test_estimator(flags: int, variance: float, verdict: Verdict) -> None:
 @pytest.mark.parametrize(
     ("flags", "ratio", "verdict"),
     [(EkfFlag.ATTITUDE, 0.49, "pass"), (EkfFlag.ATTITUDE, 0.9, "warn"), (EkfFlag.ATTITUDE, 1.1, "fail"),
-     (0, 0.1, "fail"), (EkfFlag.ATTITUDE | 1024, 0.1, "pass")],  # 1024: a glitch of the receiver
+     (0, 0.1, "fail"), (EkfFlag.ATTITUDE | 1024, 0.1, "pass"),  # 1024: a glitch of the receiver
+     (EkfFlag.ATTITUDE, math.nan, "fail")],
 )  # fmt: skip
 def test_estimator_of_px4(flags: int, ratio: float, verdict: Verdict) -> None:
     item = items.judge_estimator(mav.EstimatorStatus(flags=flags, mag_ratio=ratio))
     assert item is not None and item.verdict == verdict and with_remedy(item)
+    assert ("does not use the compass" in item.text) == math.isnan(ratio)
 
 
 def test_prearm_texts_about_the_compass_are_passed_on_once() -> None:
     texts = [
         "PreArm: Compass not calibrated", "PreArm: Compass not calibrated", "Arm: Check mag field: 900",
-        "Preflight Fail: MAGNETOMETER 0", "PreArm: GPS 1: not healthy", "Compass 1 calibrated", "compass",
+        "Preflight Fail: Strong magnetic interference", "PreArm: GPS 1: not healthy", "Compass 1 calibrated",
     ]  # fmt: skip
     found = items.judge_prearm(texts)
     assert [i.text for i in found] == [
         'The autopilot says "PreArm: Compass not calibrated".',
         'The autopilot says "Arm: Check mag field: 900".',
-        'The autopilot says "Preflight Fail: MAGNETOMETER 0".',
+        'The autopilot says "Preflight Fail: Strong magnetic interference".',
     ]
     assert all(i.verdict == "fail" and i.remedy == "Calibrate." for i in found)
 

@@ -120,6 +120,16 @@ def test_a_sensor_that_is_not_there_is_blamed_for_nothing() -> None:
     assert report.verdict == "pass", report.summary()
 
 
+def test_px4_is_asked_what_it_has_against_arming() -> None:
+    vehicle = SimulatedAutopilot("px4-copter", seed=2, calibration="exact", armed=False, ready_s=1.0)
+    vehicle.advance(3.0)
+    held = vehicle.firmware.store.values
+    held.update(COM_ARM_MAG_ANG=5.0, CAL_MAG1_XOFF=held["CAL_MAG1_XOFF"] + 0.2)
+    vehicle.firmware.compasses.parameters_changed()
+    says = [item.text for item in checked(vehicle, "none").items if item.name == "prearm"]
+    assert says == ['The autopilot says "Preflight Fail: Compasses inconsistent".']
+
+
 def test_agreement_is_judged_across_north() -> None:
     for heading_deg, verdict in ((1.0, "pass"), (10.0, "warn"), (90.0, "fail")):
         (item,) = items.judge_agreement(

@@ -79,6 +79,10 @@ def test_the_world_is_that_of_the_place_and_the_date_where_they_are_known() -> N
     assert check.world() is None
     check.desk.state.place = mav.GlobalPositionInt()
     assert check.world() is None  # nobody is in the Gulf of Guinea without knowing it
+    check.desk.state.place = None
+    for fix_type, lat, told in ((2, 474_000_000, False), (3, 474_000_000, True), (3, 974_000_000, False)):
+        check.desk.state.gps = mav.GpsRawInt(fix_type=fix_type, lat=lat, lon=85_000_000, alt=400_000)
+        assert (check.world() is not None) == told
     check.desk.state.place = mav.GlobalPositionInt(lat=474_000_000, lon=85_000_000, alt=400_000)
     undated = check.world()
     assert undated is not None

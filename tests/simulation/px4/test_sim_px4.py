@@ -211,7 +211,9 @@ def test_a_calibration_of_another_sensor_is_ignored(station):
 
 def test_it_takes_off_turns_in_offboard_and_lands(station):
     s = station("px4-copter", armed=False, ready_s=2.0, calibration="exact")
-    assert s.command(400, 1.0) == 1  # no position yet
+    assert s.command(400, 1.0) == 1  # no position yet, which it says to who asks
+    assert not any(t.startswith("Preflight Fail") for t in s.texts())
+    assert s.command(401) == 0
     assert any(t.startswith("Preflight Fail") for t in s.texts())
     s.wait(4.0)
     assert s.command(400, 1.0) == 0
