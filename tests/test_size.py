@@ -12,14 +12,14 @@ ROOT = Path(__file__).parents[1]
 LINES = {
     "package gap": (14_520, 10_500),
     "package simulation": (7_830, 5_800),
-    "package attitude calibration heading": (9_010, 5_400),
+    "package attitude calibration heading": (9_020, 5_400),
     "package vehicle messages enums.py": (7_680, 5_200),
     "package procedure": (6_290, 4_400),
     "package service": (5_300, 4_100),
     "package logs": (4_450, 3_600),
     "package cli": (4_050, 2_900),
-    "package": (66_310, 46_500),
-    "tests": (43_420, 29_000),
+    "package": (66_320, 46_500),
+    "tests": (43_430, 29_000),
     "scripts": (8_620, 4_400),
 }
 

@@ -90,7 +90,17 @@ class TurnRecord:
         sampling = math.sqrt(float(np.sum(bend**2)))
         gaps = steps > _GAP_S
         lost = float(np.sum(np.abs(np.diff(rate))[gaps] * steps[gaps])) if gaps.any() else 0.0
-        return math.sqrt(white**2 + sampling**2 + lost**2)
+        return math.sqrt(white**2 + sampling**2 + lost**2 + self._wandered_rad2(steps[gaps]))
+
+    def _wandered_rad2(self, gaps_s: FloatArray) -> float:
+        """Return the variance of what was turned unheard: there the rate wanders, as it does elsewhere.
+
+        It is known at both ends, a Brownian bridge, whose integral over T has the variance q T^3 / 12.
+        """
+        if not gaps_s.size:
+            return 0.0
+        wandered = self.rate_at(self.time_s + _GAP_S) - self.rate_radps
+        return float((wandered**2).mean() / _GAP_S * (gaps_s**3).sum() / 12.0)
 
 
 def turn_record(track: Track, instance: int = 1) -> TurnRecord | None:

@@ -49,7 +49,17 @@ def test_a_gap_loses_what_the_rate_changed(gap_s: float, lost: float) -> None:
     rate = np.where(TIME <= 3.0, 0.1, -0.1)
     whole = record(rate, time).independent_sigma_rad(1.0, 6.0)
     before, after = 0.5 * (0.25 + gap_s) / 12.0 * 0.2, 0.5 * (0.25 + gap_s) / 12.0 * 0.2
-    assert whole == pytest.approx(math.hypot(before, after, lost))
+    assert whole == pytest.approx(math.hypot(before, after, lost), rel=2e-3)
+
+
+def test_a_turn_in_a_gap_lies_within_what_is_not_known() -> None:
+    # Twelve turns by 20 degrees in 1.5 s and one of them unheard: it stands still at both ends of the gap.
+    time = np.arange(0.0, 96.0, 0.04)
+    rate = math.radians(20.0 / 0.75) * np.clip(1.0 - np.abs(time % 8.0 - 4.0) / 0.75, 0.0, None)
+    heard = np.abs(time - 44.0) > 1.0
+    sigma = record(rate[heard], time[heard]).independent_sigma_rad(40.0, 48.0)
+    assert math.radians(20.0) / 3.0 < sigma < math.radians(20.0)
+    assert record(0.0 * rate[heard], time[heard]).independent_sigma_rad(40.0, 48.0) == 0.0
 
 
 def test_angle_and_rate_are_read_between_samples() -> None:
