@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -267,6 +268,8 @@ def test_person_diagnoses_and_exports_a_csv(tmp_path: Path, capsys: object) -> N
     assert len(document["log"]["sha256"]) == 64
     html = report.read_text()
     assert "hard_iron" in html and "<svg" in html and "http" not in html.replace("http-equiv", "")
+    shares = [float(share) for share in re.findall(r"<td>(\d+) %</td>", html)]
+    assert shares == [round(100.0 * place["share"]) for place in document["where"][:10]]
     export = ["gap", "export", str(log), "--baseline", str(good), "--to", "ardupilot-sitl", str(parm)]
     assert main([*export, "--json", str(answer)]) == 0
     promised = json.loads(answer.read_text())["promised"]

@@ -114,7 +114,10 @@ def test_it_is_told_in_words_as_json_and_as_a_page(rehearsal: Rehearsal, tmp_pat
     assert f"(95 of 100 below {high:.2f})" in first
     page = tmp_path / "r.html"
     write_rehearsal_report(rehearsal, page)
-    assert "motor_current" in page.read_text(encoding="utf-8")
+    text = page.read_text(encoding="utf-8")
+    assert "motor_current" in text
+    for remedy in rehearsal.remedies:
+        assert f"<td>{100.0 * remedy.change:.0f}</td>" in text
 
 
 def test_it_is_deterministic(loaded: Track, diagnosis: Diagnosis) -> None:
