@@ -220,16 +220,17 @@ def _apart(instance: int, text: str, apart_deg: float, whom: str) -> CheckItem:
     return _graded("agreement", apart_deg, AGREEMENT_DEG, 3.0 * AGREEMENT_DEG, text, remedy, instance)
 
 
-def judge_gyro(rate_radps: FloatArray, turning: Sequence[tuple[float, float]] = ()) -> CheckItem:
+def judge_gyro(rate_radps: FloatArray, seen: Sequence[tuple[Sequence[float], float]] = ()) -> CheckItem:
     """Judge the gyro of a vehicle at rest, (N, 3): its mean is a bias that bends every measured turn.
 
-    What floats is never quite at rest: what the compasses see it turn, rates and sigmas, rad/s, is taken out.
+    What floats or flies is never quite at rest: what level and compasses see it rotate, rates (3,) and the
+    sigma of each one's turn, rad/s, is taken out.
     """
-    weights = np.array([max(sigma, 1e-6) ** -2.0 for _, sigma in turning])
-    seen = weights.sum() > 0.0
-    turned = float(weights @ [rate for rate, _ in turning]) / float(weights.sum()) if seen else 0.0
-    sigma_dps = math.degrees(weights.sum() ** -0.5) if seen else 0.0
-    bias_dps = float(np.degrees(np.linalg.norm(rate_radps.mean(axis=0) - [0.0, 0.0, turned])))
+    weights = np.array([max(sigma, 1e-6) ** -2.0 for _, sigma in seen])
+    turns = weights.sum() > 0.0
+    moved = weights @ np.array([rates for rates, _ in seen]) / weights.sum() if turns else np.zeros(3)
+    sigma_dps = math.degrees(weights.sum() ** -0.5) if turns else 0.0
+    bias_dps = float(np.degrees(np.linalg.norm(rate_radps.mean(axis=0) - moved)))
     warn, fail = (math.hypot(limit, 2.0 * sigma_dps) for limit in (0.7, 2.0))
     remedy = "Hold still and restart the autopilot, so that it learns the bias."
     return _graded("gyro", bias_dps, warn, fail, f"The gyro drifts by {bias_dps:.2f} deg/s at rest.", remedy)

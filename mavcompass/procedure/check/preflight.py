@@ -134,8 +134,8 @@ class _Checker:
         gyro = track.gyro_radps
         rates = None if gyro is None else gyro.between(window.start_s, window.end_s)
         if rates is not None and len(rates) and window.rested:  # else it is the vehicle that turns
-            turning = [seen for r in self.readings if (seen := self._turning(track, r, window)) is not None]
-            self._add(items.judge_gyro(rates.values, turning))
+            rotating = [seen for r in self.readings if (seen := self._rotating(track, r, window)) is not None]
+            self._add(items.judge_gyro(rates.values, rotating))
         estimator = items.judge_estimator(self.desk.state.ekf or self.desk.state.estimator)
         self._add(estimator)
         if estimator is None or estimator.verdict != "fail":
@@ -230,16 +230,21 @@ class _Checker:
     def _in_force(self, instance: int) -> FieldCorrection:
         return self.desk.dialect.correction(self.desk.parameters, instance)
 
-    def _turning(self, track: Track, reading: Reading, window: Window) -> tuple[float, float] | None:
-        """Return the rate of turn at rest that a compass shows, and its sigma, rad/s."""
+    def _rotating(
+        self, track: Track, reading: Reading, window: Window
+    ) -> tuple[tuple[float, float, float], float] | None:
+        """Return the rates at rest that level and a compass show, and the sigma of its turn, rad/s."""
         half_s, i = 0.5 * (window.end_s - window.start_s), reading.instance
         try:
             halves = [dwell_between(track, i, s, s + half_s) for s in (window.start_s, window.end_s - half_s)]
         except PoorCalibration:
             return None
-        first, second = (seen.heading_rad(self._in_force(i)) for seen in halves)
+        first, second = ((d.roll_rad, d.pitch_rad, d.heading_rad(self._in_force(i))) for d in halves)
+        roll, pitch, yaw = (
+            float(wrap_pi(after - before)) for before, after in zip(first, second, strict=True)
+        )
         sure = (seen.heading_sigma_rad(reading.horizontal_mgauss, reading.vertical_mgauss) for seen in halves)
-        return float(wrap_pi(second - first)) / half_s, math.hypot(*sure) / half_s
+        return (roll / half_s, pitch / half_s, yaw / half_s), math.hypot(*sure) / half_s
 
     def world(self) -> EarthField | None:
         """Return the Earth's field at the vehicle, None where it does not know its place."""

@@ -168,14 +168,21 @@ def test_gyro(deg_s: float, verdict: Verdict) -> None:
 
 def test_what_floats_turns_and_its_gyro_is_right_about_it() -> None:
     gyro = np.tile([0.0, 0.0, np.radians(3.0)], (40, 1))
-    seen = [(math.radians(2.6), 0.005), (math.radians(3.4), 0.005)]
+    seen = [((0.0, 0.0, math.radians(2.6)), 0.005), ((0.0, 0.0, math.radians(3.4)), 0.005)]
     assert items.judge_gyro(gyro).verdict == "fail" and items.judge_gyro(gyro, seen).verdict == "pass"
     drifting = items.judge_gyro(2.0 * gyro, seen)
     assert drifting.verdict == "fail" and drifting.value == pytest.approx(3.0)
     assert drifting.limit == pytest.approx(math.hypot(0.7, 2.0 * math.degrees(0.005 / math.sqrt(2.0))))
     # The surer compass counts for more; one that knows nothing of it for nothing.
-    one = items.judge_gyro(gyro, [(0.0, math.inf), (math.radians(2.0), 0.005), (math.radians(3.0), 0.0005)])
+    yaws = [(0.0, math.inf), (math.radians(2.0), 0.005), (math.radians(3.0), 0.0005)]
+    one = items.judge_gyro(gyro, [((0.0, 0.0, yaw), sigma) for yaw, sigma in yaws])
     assert one.value == pytest.approx(0.01, abs=0.01)
+
+
+def test_what_flies_leans_and_its_gyro_is_right_about_it() -> None:
+    gyro = np.tile(np.radians([3.0, 4.0, 0.2]), (40, 1))
+    leaning = [((math.radians(2.9), math.radians(4.1), 0.0), 0.005)]
+    assert items.judge_gyro(gyro).verdict == "fail" and items.judge_gyro(gyro, leaning).verdict == "pass"
 
 
 def test_stillness() -> None:
