@@ -104,6 +104,7 @@ class Context:
         alone: the vehicle was taken because no other was heard; one that appears later is to be told.
         hold: keeps other programs off a vehicle until the procedure ends; its driver knows how.
         left: what could not be put back, told where the script is abandoned before it ends.
+        as_station: beat as a ground station, too: PX4 tells its texts only where one is heard.
         silent_until_s: until then a silent vehicle is not a lost one: it restarts because we asked it to.
     """
 
@@ -116,6 +117,7 @@ class Context:
     alone: bool = False
     hold: Callable[[Any], None] = lambda _: None
     left: MavCompassError | None = None
+    as_station: bool = False
     silent_until_s: float = -math.inf
 
     def send(self, message: Message) -> None:

@@ -11,6 +11,7 @@ from dataclasses import replace
 from time import monotonic
 from typing import Any, TypeVar, cast
 
+from mavcompass.enums import MavType
 from mavcompass.errors import LinkLost, NoReply, NoVehicle, Refused
 from mavcompass.messages import Incoming
 from mavcompass.procedure.script import (
@@ -151,7 +152,10 @@ class _Drive:
             self._step(Answer(now_s, yes))
             return None
         if now_s >= self._next_heartbeat_s:
-            self.link.send(self.link.identity.heartbeat())
+            beat = self.link.identity.heartbeat()
+            self.link.send(beat)
+            if self.machine.context.as_station:
+                self.link.send(replace(beat, type=MavType.GCS))
             self._next_heartbeat_s = now_s + HEARTBEAT_EVERY_S
         wake_s = min(self.machine.wake_at_s, self._next_heartbeat_s, now_s + TICK_S)
         try:

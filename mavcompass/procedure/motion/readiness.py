@@ -25,6 +25,8 @@ _CLIMB_PATIENCE_S = 40.0
 _LANDING_PATIENCE_S = 90.0
 # Where a vehicle is, is told twice a second at least once it is asked for.
 _PLACE_WITHIN_S = 3.0
+# A yaw, and that it counts as stable, were seen to take PX4 half a minute.
+_INSISTS_S = 60.0
 # After a stop nothing is waited for: the autopilot lands by itself once told to.
 _HURRIED_S = 3.0
 _PX4_TAKEOFF, _PX4_HOLD, _PX4_LAND = (4 << 16 | sub << 24 for sub in (2, 3, 6))
@@ -126,14 +128,19 @@ class Readiness:
             own = self.overrides
             if own is not None and (exemption := (yield from self._exemption(context, own, said))):
                 yield from own.hold(context, exemption)
-                arming = self._ask(context, MavCmd.COMPONENT_ARM_DISARM, 1.0, what="arming")
                 why = "The arming check is asked again."
-                yield from own.put_back_after(context, arming, why)
+                yield from own.put_back_after(context, self._insist(context), why)
             if not self.state.armed:
                 raise Refused(
                     f"The vehicle refused to arm.{self._last_words()}",
                     "Put right what it names, then run again; turning it by hand needs no arming.",
                 )
+
+    def _insist(self, context: Context) -> Script[None]:
+        """Ask it to arm until it does: PX4's estimator first takes over what it did not use before."""
+        end_s = context.now + _INSISTS_S
+        while not self.state.armed and context.now < end_s:
+            yield from self._ask(context, MavCmd.COMPONENT_ARM_DISARM, 1.0, what="arming")
 
     def _ask(
         self, context: Context, number: MavCmd, *parameters: float, what: str
@@ -146,6 +153,7 @@ class Readiness:
                 said.append(printable(incoming.message.text))
 
         context.listeners.append(note)
+        context.as_station = self.identity.autopilot == "px4"
         try:
             yield from command(context, number, *parameters, what=what)
             end_s = context.now + 3.0
@@ -153,6 +161,7 @@ class Readiness:
                 yield from pause(context, 0.1)
         finally:
             context.listeners.remove(note)
+            context.as_station = False
             self._armed_by_us = self.state.armed
         return tuple(said)
 

@@ -13,6 +13,8 @@ from mavcompass.simulation.physics.compasses import CompassSetup
 from mavcompass.simulation.physics.motion import Body
 from mavcompass.simulation.physics.sensors import Distortion, SensorSuite, Surroundings
 
+# Texts that nobody was there to read are dropped after this.
+_STALE_US = 5_000_000
 _REBOOT_SILENCE_US = 1_500_000
 
 
@@ -88,6 +90,8 @@ class Board:
         self.consumed_mah = 0.0
         self.uid = 1
         self.sent: list[Outgoing] = []
+        self._untold: list[tuple[int, Statustext]] = []
+        self._read_until_us = math.inf
 
     @property
     def boot_time_s(self) -> float:
@@ -133,5 +137,18 @@ class Board:
         self.sent.append(Outgoing(self.now_us * 1e-6, system, component, message, port))
 
     def say(self, text: str, severity: MavSeverity = MavSeverity.INFO) -> None:
-        """Send a STATUSTEXT by all ports."""
-        self.send(Statustext(severity, text[:50]))
+        """Send a STATUSTEXT by all ports, or as soon as somebody is there to read it."""
+        self._untold.append((self.now_us, Statustext(severity, text[:50])))
+        self._tell()
+
+    def read_for(self, seconds: float) -> None:
+        """Tell texts for so long from now on, and those that have just been said."""
+        self._read_until_us = self.now_us + round(1e6 * seconds)
+        self._tell()
+
+    def _tell(self) -> None:
+        if self.now_us <= self._read_until_us:
+            for said_us, text in self._untold:
+                if self.now_us - said_us < _STALE_US:
+                    self.send(text)
+            self._untold.clear()

@@ -10,7 +10,7 @@ from collections.abc import Mapping, MutableMapping
 
 from mavcompass import messages as m
 from mavcompass.compass_parameters import px4_name, px4_sensor_to_body, px4_values
-from mavcompass.enums import MavSeverity
+from mavcompass.enums import MavSeverity, MavType
 from mavcompass.simulation.autopilot.board import Board, Status
 from mavcompass.simulation.autopilot.firmware import Firmware, Sender
 from mavcompass.simulation.autopilot.guidance import HoverGuidance, Radio
@@ -28,6 +28,8 @@ from mavcompass.simulation.px4.flight import BY_HAND, Arming, Flight, Modes, Set
 from mavcompass.simulation.px4.magnetometer_calibration import MagnetometerCalibration
 from mavcompass.simulation.px4.reports import Px4Reports
 
+# Texts go where a ground station was heard within this time.
+_STATION_HEARD_S = 2.5
 # How the first compass is turned in its mast, MAV_SENSOR_ORIENTATION.
 _MOUNTINGS = (0, 2, 4, 6)
 
@@ -42,6 +44,7 @@ class Px4(Firmware):
         self, board: Board, parameters: Mapping[str, float], storage: MutableMapping[str, float] | None
     ) -> None:
         self.board = board
+        board.read_for(-1.0)
         self.store = store = ParameterStore(
             parameter_table("px4.param"), _defaults(board, parameters), storage
         )
@@ -74,6 +77,8 @@ class Px4(Firmware):
     def hear(self, message: m.Message, sender: Sender) -> None:
         """Act on a message that only this firmware knows what to do with."""
         match message:
+            case m.Heartbeat(type=MavType.GCS):
+                self.board.read_for(_STATION_HEARD_S)
             case m.SetMode():
                 self.modes.enter(mode_of_custom(message.custom_mode))
             case m.SetPositionTargetLocalNed():

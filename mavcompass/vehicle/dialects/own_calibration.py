@@ -204,6 +204,7 @@ def calibrate_px4(context: Context) -> Script[str]:
     """
     told, ended = _Texts(), False
     context.listeners.append(told.hear)
+    context.as_station = True
     try:
         yield from _begin(
             context,
@@ -219,6 +220,7 @@ def calibrate_px4(context: Context) -> Script[str]:
         context.listeners.remove(told.hear)
         if not ended:
             yield from _cancel(context, MavCmd.PREFLIGHT_CALIBRATION)
+        context.as_station = False
 
 
 def _until_done(context: Context, told: _Texts) -> Script[str]:

@@ -37,12 +37,13 @@ _SMALLEST_LIVE_CHANGE_MGAUSS, _SMALLEST_LIVE_CHANGE = 5.0, 0.01
 # Turning a correction into body axes and back leaves this much, in gauss and as a factor.
 _ROUNDING = 1e-6
 _NAMED = re.compile(r"Preflight Fail: ?(.*)")
-# Seen in its source (August 2024): COM_ARM_MAG_ANG is how far apart compasses may point (-1: not asked),
-# COM_ARM_MAG_STR whether the field's strength and dip forbid arming (1) or warn (2). That a compass has no
-# calibration at all, or that the heading is not stable, no parameter sets aside.
+# Seen in its source and on it (August 2024): COM_ARM_MAG_ANG is how far apart compasses may point (-1: not
+# asked). A field of another strength or dip is not used by the estimator (EKF2_MAG_CHECK), which then has no
+# yaw and no place, whatever COM_ARM_MAG_STR says. That a compass has no calibration at all, or that the
+# heading is not stable, no parameter sets aside.
 _SETS_ASIDE = (
     (re.compile(r"Compass(?:es)? .*inconsistent"), {"COM_ARM_MAG_ANG": -1.0}),
-    (re.compile(r"Strong magnetic interference"), {"COM_ARM_MAG_STR": 2.0}),
+    (re.compile(r"Strong magnetic interference"), {"EKF2_MAG_CHECK": 0.0}),
 )
 
 

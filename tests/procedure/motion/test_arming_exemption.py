@@ -19,6 +19,7 @@ from mavcompass.procedure.vehicle_state import VehicleState
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.compasses import draw_compasses
 from mavcompass.simulation.physics.noise import generator
+from mavcompass.simulation.px4.flight import Arming
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.parameters.undo import load_record, undo_saver
@@ -69,6 +70,22 @@ def test_it_is_calibrated_in_one_go_and_all_but_the_calibration_is_as_before(
     assert "ARMING_CHECK" not in beside and beside == pytest.approx({n: after[n] for n in beside})
 
 
+def test_px4s_estimator_is_given_time_for_what_it_did_not_use(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    vehicle, since_s = with_iron("px4-copter", 3, 300.0), list[float]()
+    refuses = Arming.refusal
+
+    def slowly(arming: Arming) -> str | None:
+        if why := refuses(arming):
+            return why
+        since_s.append(vehicle.time_s)
+        return None if vehicle.time_s > since_s[0] + 20.0 else "Preflight Fail: heading estimate not stable"
+
+    monkeypatch.setattr(Arming, "refusal", slowly)
+    assert calibrated(vehicle, tmp_path, settings("px4-copter", "yes")).written
+
+
 def test_what_else_forbids_arming_is_put_right_by_nobody(tmp_path: Path) -> None:
     vehicle = with_iron("rover", 3, 300.0)
     vehicle.firmware.calibration.start((1,), 580.0)  # type: ignore[attr-defined]
@@ -108,7 +125,7 @@ def test_one_bit_is_set_aside_for_the_calibration_alone(
     ("said", "values"),
     [
         (["Preflight Fail: Compasses 74° inconsistent"], {"COM_ARM_MAG_ANG": -1.0}),
-        (["Preflight Fail: Strong magnetic interference"], {"COM_ARM_MAG_STR": 2.0}),
+        (["Preflight Fail: Strong magnetic interference"], {"EKF2_MAG_CHECK": 0.0}),
         (["Preflight Fail: Compasses inconsistent", "Preflight Fail: ekf2 missing data"], {}),
         (["Preflight Fail: Compass 0 uncalibrated"], {}),
         (["Arming denied: Resolve system health failures first"], {}),

@@ -9,6 +9,7 @@ import pytest
 from mavcompass import messages as m
 from mavcompass.compass_parameters import px4_correction, px4_sensor_to_body
 from mavcompass.correction import FieldCorrection
+from mavcompass.enums import MavType
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.compasses import CompassSetup
 from mavcompass.simulation.physics.sensors import CompassModel
@@ -141,6 +142,7 @@ def test_integers_travel_as_their_bytes(station):
 
 def test_a_write_of_the_wrong_type_is_refused(station):
     s = station("px4-copter")
+    s.send(m.Heartbeat(type=MavType.GCS))
     assert s.ask(m.ParamSet(1, 1, "CAL_MAG_SIDES", 42.0, 9), m.ParamValue) == []
     assert "param types mismatch" in s.texts()[-1]
     (told,) = s.ask(m.ParamRequestRead(1, 1, "CAL_MAG_SIDES"), m.ParamValue)
@@ -214,6 +216,8 @@ def test_it_takes_off_turns_in_offboard_and_lands(station):
     assert s.command(400, 1.0) == 1  # no position yet, which it says to who asks
     assert not any(t.startswith("Preflight Fail") for t in s.texts())
     assert s.command(401) == 0
+    s.send(m.Heartbeat(type=MavType.GCS))  # texts are told to ground stations only
+    s.wait(0.1)
     assert any(t.startswith("Preflight Fail") for t in s.texts())
     s.wait(4.0)
     assert s.command(400, 1.0) == 0
