@@ -58,8 +58,16 @@ def environment() -> dict[str, str]:
 
 
 def terminal_text(folder: Path) -> str:
-    """Return what the terminal's picture shows; what differs from day to day is spelt the same."""
-    said = run(folder, *TERMINAL_COMMAND.split())
+    """Return what the terminal's picture shows; what differs from day to day is spelt the same.
+
+    So is how often one is told to wait, once a second of this computer's.
+    """
+    said = re.sub(
+        r"^(All is written;.*\n)(?:All is written;.*\n)*",
+        r"\1",
+        run(folder, *TERMINAL_COMMAND.split()),
+        flags=re.M,
+    )
     return re.sub(r"undo/\d+-\d+-", "undo/00000001-20260501100000-", said)
 
 
