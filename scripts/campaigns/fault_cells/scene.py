@@ -32,7 +32,7 @@ from mavcompass.vehicle.links.simulated import SimulatedLink
 
 StepKind = Literal["send", "hear", "file", "state"]
 # What a calibration changes, and what it holds at another value meanwhile.
-COMPASS = ("COMPASS", "CAL_MAG", "ARMING_CHECK", "EK3_", "EKF2_GPS_CTRL")
+COMPASS = ("COMPASS", "CAL_MAG", "ARMING_CHECK", "EK3_", "EKF2_")
 TURNING_RADPS = math.radians(5.0)
 
 

@@ -11,6 +11,7 @@ from parameter_vehicle import PX4Vehicle, Radio, px4_parameters
 from mavcompass.errors import Refused, WriteFailed
 from mavcompass.messages import ParamSet
 from mavcompass.procedure.script import Context, Script
+from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.dialects.taking_over import PX4_HOW, load_px4
 
 NEW = {"CAL_MAG0_XOFF": 0.12, "CAL_MAG0_YOFF": -0.08, "CAL_MAG0_XSCALE": 0.9}
@@ -30,6 +31,12 @@ def test_what_disarming_has_overwritten_is_written_again() -> None:
     assert radio.run(loading) == PX4_HOW
     assert {name: vehicle.values[name] for name in NEW} == {n: float(np.float32(v)) for n, v in NEW.items()}
     assert any("had put other values" in show.text for show in radio.shown)
+
+
+def test_an_estimator_on_the_ground_has_nothing_left_to_take_for_a_bias() -> None:
+    prompt, shipped = make_dialect("px4").prompt_estimator, {"EKF2_GPS_CTRL": 7.0, "EKF2_MAG_NOISE": 0.05}
+    assert prompt(shipped, False) == {"EKF2_GPS_CTRL": 0.0, "EKF2_MAG_NOISE": 0.002}
+    assert prompt(shipped, True) == prompt({"EKF2_GPS_CTRL": 0.0, "EKF2_MAG_NOISE": 0.001}, False) == {}
 
 
 def test_what_resets_no_heading_is_not_made_to_load() -> None:
