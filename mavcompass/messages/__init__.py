@@ -57,7 +57,7 @@ SET_ATTITUDE_TARGET q=1,0,0,0
 SET_MODE
 SET_POSITION_TARGET_LOCAL_NED coordinate_frame=1
 SIMSTATE
-STATUSTEXT severity=6
+STATUSTEXT severity=6 id chunk_seq
 SYSTEM_TIME
 SYS_STATUS current_battery=-1 battery_remaining=-1
 VFR_HUD

@@ -216,7 +216,8 @@ class VehicleState:
             case mav.LocalPositionNed(x=x, y=y, z=z) if all(map(math.isfinite, (x, y, z))):
                 self.local = message
             case mav.Statustext():
-                self.texts.append(printable(message.text))
+                begun = self.texts.pop() if message.chunk_seq and self.texts else ""
+                self.texts.append(begun + printable(message.text.rstrip("\t")))  # PX4's mark of an event
             case _ if (name := _KEPT.get(type(message))) is not None:
                 setattr(self, name, message)
 

@@ -246,4 +246,8 @@ def test_the_latest_of_what_it_says_is_kept_if_it_can_be() -> None:
     for k in range(25):
         state.hear(heard(6.0, mav.Statustext(text=f"text {k}\n\x1b[31m")))
     assert next(iter(state.texts)) == r"text 5\n\x1b[31m" and len(state.texts) == 20
+    # A long text of PX4 comes in two pieces, with its mark of what is told as an event, too.
+    for piece, text in enumerate(("Arming denied: Resolve system health failures firs", "t\t")):
+        state.hear(heard(7.0, mav.Statustext(text=text, id=9, chunk_seq=piece)))
+    assert state.texts[-1] == "Arming denied: Resolve system health failures first"
     assert printable("é°\t\x1b[2J") == r"é°\t\x1b[2J"

@@ -80,7 +80,7 @@ def test_px4s_estimator_is_given_time_for_what_it_did_not_use(
         if why := refuses(arming):
             return why
         since_s.append(vehicle.time_s)
-        return None if vehicle.time_s > since_s[0] + 20.0 else "Preflight Fail: heading estimate not stable"
+        return None if vehicle.time_s > since_s[0] + 8.0 else "Preflight Fail: heading estimate not stable"
 
     monkeypatch.setattr(Arming, "refusal", slowly)
     assert calibrated(vehicle, tmp_path, settings("px4-copter", "yes")).written
