@@ -113,6 +113,7 @@ def _compass(track: Track, result: CalibrationResult) -> dict[str, Any]:
         "figures": {
             "circle": figures.circle_figure(track, result),
             "raw": figures.raw_figure(track, result),
+            "sphere": figures.sphere_figure(track, result),
             "error": figures.heading_error_figure(result),
             "sigma": figures.sigma_figure(result),
             "residuals": figures.residual_figure(result),

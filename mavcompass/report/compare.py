@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mavcompass.gap.comparison import Comparison
 from mavcompass.report.compare_words import compare_advice
-from mavcompass.report.gap_figures import levels_figure, residual_overlay
+from mavcompass.report.gap_figures import Level, levels_figure, residual_overlay
 from mavcompass.report.gap_words import SHADES, VERDICTS, cause_values, shrink_words
 from mavcompass.report.page import write_page
 from mavcompass.simulation.effects import get
@@ -16,30 +16,21 @@ from mavcompass.simulation.effects import get
 def write_compare_report(comparison: Comparison, path: Path) -> None:
     """Write the report of a comparison. Raises UsageError where the file cannot be written."""
     told = comparison.told
-    field = [("as it is", told.field.nominal, "old"), ("promised", told.field.after, "step")]
-    heading = [("as it is", told.heading.nominal, "old"), ("promised", told.heading.after, "step")]
-    rows = [
-        (
-            "promised",
-            shrink_words(told.field),
-            shrink_words(told.heading),
-            told.field.after,
-            told.heading.after,
-        )
-    ]
+    field, heading = (
+        list[Level]([("as it is", gap.nominal, "old", None), ("promised", gap.after, "step", None)])
+        for gap in (told.field, told.heading)
+    )
+    left = (told.field.after, told.heading.after)
+    rows = [("promised", shrink_words(told.field), shrink_words(told.heading), *left)]
     for number, one in enumerate(comparison.achieved, start=1):
         name = "flown again" if len(comparison.achieved) == 1 else f"flown again, {number}"
-        field.append((name, one.again.field.nominal, "new"))
-        heading.append((name, one.again.heading.nominal, "new"))
+        field.append((name, one.again.field.nominal, "new", None))
+        heading.append((name, one.again.heading.nominal, "new", None))
         low, high = one.ci95
         interval = f" ({100 * low:.0f} to {100 * high:.0f})" if math.isfinite(low) else ""
         of_heading = f"{100 * one.heading_shrink:.0f} %" if math.isfinite(one.heading_shrink) else "no gap"
-        rows.append(
-            (
-                name, f"{100 * one.shrink:.0f} %{interval}", of_heading,
-                one.again.field.nominal, one.again.heading.nominal,
-            )
-        )  # fmt: skip
+        left = (one.again.field.nominal, one.again.heading.nominal)
+        rows.append((name, f"{100 * one.shrink:.0f} %{interval}", of_heading, *left))
     shown = {
         "advice": compare_advice(comparison),
         "verdict": VERDICTS[told.verdict],

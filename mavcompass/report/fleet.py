@@ -73,7 +73,7 @@ def drift_figure(vehicle: Vehicle, calibrated: bool) -> str:
         if calibrated:
             plot.band(since, (values - sigmas).clip(min=0.0), values + sigmas, css)
         plot.line(since, values, css)
-        plot.dots(since, values, dots_css, radius=2.4)
+        plot.dots(since, values, dots_css, 2.4, f"compass {drawn[number].compass}")
     return plot.render()
 
 

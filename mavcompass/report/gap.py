@@ -66,12 +66,10 @@ def write_trial_report(trial: Trial, path: Path) -> None:
     """Write the scoreboard of a blind trial. Raises UsageError where the file cannot be written."""
     rows = []
     for name, (hits, of) in trial.figures().items():
-        low, high = wilson(hits, of)
-        share = f"{100 * hits / of:.1f} %" if of else "-"
-        drawn = interval_figure(low, hits / of, high) if of else ""
-        rows.append(
-            (_in_words(name), hits, of, share, f"{100 * low:.1f} to {100 * high:.1f}" if of else "-", drawn)
-        )
+        if of:  # else no case of its kind was drawn
+            low, high = wilson(hits, of)
+            share, ends = f"{100 * hits / of:.1f} %", f"{100 * low:.1f} to {100 * high:.1f}"
+            rows.append((_IN_WORDS[name], hits, of, share, ends, interval_figure(low, hits / of, high)))
     shown = {
         "trial": trial,
         "rows": rows,
@@ -80,21 +78,26 @@ def write_trial_report(trial: Trial, path: Path) -> None:
     write_page(path, "gap_trial.html", shown)
 
 
-# The symbols of docs/gap.md, for who has not read it.
-_SYMBOLS = {
-    "d_sep": "separation",
-    "d_perp": "part that nothing known mimics",
-    "single, ": "one effect, ",
-    "pair, ": "two effects, ",
-    "withheld, ": "one that may not be named, ",
-    ">=": "at least",
+_TAKEN_OUT, _NEVER_IN = "A fault taken out of the catalogue", "A fault that was never in the catalogue"
+# The scoreboard's figures, for who has not read docs/gap.md.
+_IN_WORDS = {
+    "no effect: named or unknown": "No fault: it claimed one all the same (should be rare)",
+    "single, d_sep >= 9: exact": "One fault, plain to see: named, and nothing else",
+    "single, d_sep 5 to 9: in the set": "One fault, faint: among the answers it gave",
+    "single without shift (noise, steps, repeats): exact": "One fault of noise, steps or repeats: named",
+    "pair, both d_sep >= 9: exact": "Two faults, both plain to see: both named, and nothing else",
+    "pair, both d_sep >= 9: in the set": "Two faults, both plain to see: among the answers it gave",
+    "withheld, d_perp >= 12: flagged": f"{_TAKEN_OUT}: it said that something unknown is left",
+    "withheld, d_perp >= 12: misnamed": f"{_TAKEN_OUT}: it blamed another (should be rare)",
+    "outside, d_perp >= 12: flagged": f"{_NEVER_IN}: it said that something unknown is left",
+    "outside, d_perp >= 12: misnamed": f"{_NEVER_IN}: it blamed another (should be rare)",
+    "restored, d_perp >= 12 and d_sep >= 9: exact": "That fault, put back: named, and nothing else",
+    "restored, d_perp >= 12: in the set": "That fault, put back: among the answers it gave",
+    "restored: within 5 % of the oracle": "That fault, put back: corrected as by who knows it, within 5 %",
+    "shrink's interval covers the true shrink": "What a correction brings was within the interval told",
+    "confident wrong names": "It was sure of a fault that was not there (should be rare)",
+    "after above nominal": "Its correction made it worse, on data it had not seen (should be rare)",
 }
-
-
-def _in_words(name: str) -> str:
-    for symbol, words in _SYMBOLS.items():
-        name = name.replace(symbol, words)
-    return name[:1].upper() + name[1:]
 
 
 def reliability(trial: Trial) -> list[tuple[str, int, str, str]]:

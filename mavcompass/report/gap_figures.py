@@ -11,10 +11,12 @@ import numpy as np
 from mavcompass.frames import FloatArray
 from mavcompass.gap.answer.description import bin_means
 from mavcompass.gap.result import Bar, Closing, Diagnosis, Picture
-from mavcompass.report.svg import Plot, limits
+from mavcompass.report.svg import Plot, bars, limits
 
 _MOST_POINTS = 1500
 _AXES = "xyz"
+# Name, rms, class of the style sheet, and where a bar that falls ends.
+Level = tuple[str, float, str, float | None]
 # Pixels: a letter, and the height of words with what is free above a bar.
 _LETTER, _WORDS = 9.0, 14.0
 
@@ -76,8 +78,8 @@ def strip(picture: Picture, coordinate: str) -> str:
     )
     ends: list[float] = []
     for axis in range(3):
-        plot.line(means[axis][0], curves[axis], "old")
-        plot.line(left[axis][0], curves[3 + axis], "new")
+        plot.line(means[axis][0], curves[axis], "old", f"{_AXES[axis]} before")
+        plot.line(left[axis][0], curves[3 + axis], "new", f"{_AXES[axis]} after")
         known = np.flatnonzero(np.isfinite(curves[axis]))
         if known.size:
             end = float(curves[axis][known[-1]])
@@ -106,83 +108,47 @@ def residual_overlay(picture: Picture, axis: int) -> str:
         width=880.0,
         height=180.0,
     )
-    plot.dots(picture.time_s[rows], before, "old", 1.4)
-    plot.dots(picture.time_s[rows], after, "new", 1.4)
+    plot.dots(picture.time_s[rows], before, "old", 1.4, "before")
+    plot.dots(picture.time_s[rows], after, "new", 1.4, "after")
     return plot.render()
 
 
 def waterfall_figure(closing: Closing, steps: Sequence[Bar]) -> str:
     """Draw the gap as bars from nominal over each effect to after, and the floor as a line."""
-    levels = [("nominal", closing.nominal**2, 0.0, 0.0)]
-    levels += [(b.effect, b.part_mgauss2, b.lowest_mgauss2, b.highest_mgauss2) for b in steps]
-    levels.append(("after", closing.after**2, 0.0, 0.0))
-    top = max(closing.nominal, closing.floor, 1e-9) * 1.08
-    width, height, base = 110.0, 220.0, 190.0
-    total = max(width * len(levels) + 50.0, 640.0)
-    start = 0.5 * (total - width * len(levels) + 10.0)
-
-    def y(rms: float) -> float:
-        return base - rms / top * (base - 14.0)
-
-    pieces, level, floor = [], closing.nominal**2, y(closing.floor)
-    for k, (name, part, low, high) in enumerate(levels):
-        x = start + k * width
-        if k in (0, len(levels) - 1):
-            rms = math.sqrt(part)
-            pieces.append(_bar(x, y(rms), base - y(rms), "old" if k == 0 else "new"))
-            words = f"{rms:.2f} mG"
-            above = y(rms)
-        else:
-            after = max(level - part, 0.0)
-            upper, lower = math.sqrt(max(level, 0.0)), math.sqrt(after)
-            pieces.append(_bar(x, y(upper), max(y(lower) - y(upper), 1.0), "step"))
-            words = f"{math.sqrt(max(part, 0.0)):.2f} mG"
-            if high - low > 1e-9:
-                words += f" ({math.sqrt(max(low, 0.0)):.1f} to {math.sqrt(max(high, 0.0)):.1f})"
-            level, above = after, y(upper)
-        pieces.append(_labels(x, words, above, name, base, floor))
-    pieces.append(_floor_line(floor, start - 8.0, total - start))
-    return (
-        f'<svg viewBox="0 0 {total:.0f} {height:.0f}" role="img" aria-label="waterfall of the gap">'
-        f"{''.join(pieces)}</svg>"
-    )
+    levels: list[Level] = [("nominal", closing.nominal, "old", None)]
+    rms = closing.nominal
+    for step in steps:
+        before, rms = rms, math.sqrt(max(rms**2 - step.part_mgauss2, 0.0))
+        levels.append((step.effect, before, "step", rms))
+    return levels_figure([*levels, ("after", closing.after, "new", None)], closing.floor, "mG", 640.0)
 
 
-def _labels(x: float, words: str, top: float, name: str, base: float, floor: float) -> str:
-    """Write words above a bar, where the line of the floor does not go through them, and its name below."""
-    above = (floor if 0.0 < top - floor < _WORDS else top) - 4.0
-    return (
-        f'<text class="mark mid" x="{x + 38}" y="{above:.1f}">{escape(words)}</text>'
-        f'<text class="tick" x="{x + 38}" y="{base + 14}">{escape(name)}</text>'
-    )
+def levels_figure(levels: Sequence[Level], floor: float, unit: str, least: float = 0.0) -> str:
+    """Draw named levels as bars on one scale, and the floor as a line; at least so many pixels wide.
 
-
-def _floor_line(y: float, start: float, end: float) -> str:
-    """Draw the line of the floor, and say so before it."""
-    return (
-        f'<line class="floor" x1="{start:.0f}" x2="{end:.0f}" y1="{y:.1f}" y2="{y:.1f}"/>'
-        f'<text class="tick side" x="{start - 4:.0f}" y="{y:.1f}" dy="0.32em">floor</text>'
-    )
-
-
-def _bar(x: float, top: float, height: float, css: str) -> str:
-    return f'<rect class="fall {css}" x="{x}" y="{top:.1f}" width="76" height="{height:.1f}" rx="3"/>'
-
-
-def levels_figure(levels: Sequence[tuple[str, float, str]], floor: float, unit: str) -> str:
-    """Draw named levels (name, rms, class) as bars on one scale, and the floor as a line."""
-    top = max([level for _, level, _ in levels] + [floor, 1e-9]) * 1.12
+    A bar that does not stand on the ground falls from its level to another, which is told.
+    """
+    top = max([max(level, end or 0.0) for _, level, _, end in levels] + [floor, 1e-9]) * 1.12
     width, base = 128.0, 170.0
     at = base - floor / top * (base - 14.0)
+    start = max(60.0, (least - width * len(levels)) / 2.0)
     pieces = []
-    for k, (name, level, css) in enumerate(levels):
-        x, y = 60.0 + k * width, base - level / top * (base - 14.0)
-        pieces.append(_bar(x, y, base - y, css))
-        pieces.append(_labels(x, f"{level:.2f} {unit}", y, name, base, at))
-    end = 40.0 + width * len(levels)
-    pieces.append(_floor_line(at, 52.0, end))
+    for k, (name, level, css, end) in enumerate(levels):
+        x, y = start + k * width, base - max(level, end or 0.0) / top * (base - 14.0)
+        high = max(abs(level - (end or 0.0)) / top * (base - 14.0), 1.0)
+        # Where the line of the floor does not go through the words.
+        above = (at if 0.0 < y - at < _WORDS else y) - 4.0
+        words = f"{level:.2f} {unit}" if end is None else f"to {end:.2f} {unit}"
+        pieces.append(
+            f'<rect class="fall {css}" x="{x}" y="{y:.1f}" width="76" height="{high:.1f}" rx="3"/>'
+            f'<text class="mark mid" x="{x + 38}" y="{above:.1f}">{escape(words)}</text>'
+            f'<text class="tick" x="{x + 38}" y="{base + 14}">{escape(name)}</text>'
+        )
+    end_x = start - 20.0 + width * len(levels)
     return (
-        f'<svg viewBox="0 0 {end + 10} 196" role="img" aria-label="the gap, {unit}">{"".join(pieces)}</svg>'
+        f'<svg viewBox="0 0 {max(end_x + 10.0, least):.0f} 196" role="img" aria-label="the gap, {unit}">'
+        f'{"".join(pieces)}<line class="floor" x1="{start - 8.0}" x2="{end_x}" y1="{at:.1f}" y2="{at:.1f}"/>'
+        f'<text class="tick side" x="{start - 12.0}" y="{at:.1f}" dy="0.32em">floor</text></svg>'
     )
 
 
@@ -197,53 +163,25 @@ def spectrum_figure(picture: Picture) -> str:
     smooth = power[:cut].reshape(-1, bins).mean(axis=1)
     centre = frequency[:cut].reshape(-1, bins).mean(axis=1)
     plot = Plot(
-        limits(centre), limits(smooth, [0.0, 2.0]), "frequency, Hz", "power over floor",
+        limits(centre), limits(smooth, [0.0, 2.0]), "frequency, Hz", "power, floors",
         "spectrum of what is left", height=220.0,
     )  # fmt: skip
     plot.line(centre, np.ones_like(centre), "truth")
-    plot.line(centre, smooth, "new")
+    plot.line(centre, smooth, "new", "what is left")
     return plot.render()
 
 
 def tests_figure(tests: Sequence[tuple[str, float]]) -> str:
     """Draw the smallest p-values as bars of -log10 p."""
     rows = [(name, min(-math.log10(max(p, 1e-30)), 30.0)) for name, p in tests[:10]]
-    top = max([value for _, value in rows] + [4.0])
-    pieces = []
-    for k, (name, value) in enumerate(rows):
-        y = 4 + 22 * k
-        pieces.append(
-            f'<text class="tick side" x="178" y="{y + 8}" dy="0.32em">{escape(name)}</text>'
-            f'<rect class="bar" x="184" y="{y}" width="{max(190 * value / top, 1):.1f}" height="15" rx="3"/>'
-            f'<text class="mark" x="{188 + 190 * value / top:.1f}" y="{y + 8}" dy="0.32em">{value:.1f}</text>'
-        )
-    return (
-        f'<svg viewBox="0 0 420 {10 + 22 * len(rows)}" role="img" aria-label="tests of what is left">'
-        f"{''.join(pieces)}</svg>"
-    )
+    return bars(rows, "", "tests of what is left")
 
 
 def ambiguity_figure(diagnosis: Diagnosis) -> str:
-    """Draw the explanations as discs by their probability, joined where the data hardly tell them apart."""
+    """Draw the explanations as bars of their probability, where there are several."""
     sets = diagnosis.ambiguity_set[:6]
-    if len(sets) < 2:
-        return ""
-    pieces, places = [], []
-    for k, (names, weight) in enumerate(sets):
-        angle = 2.0 * math.pi * k / len(sets) - 0.5 * math.pi
-        x = 210.0 + 120.0 * math.cos(angle)
-        y = 105.0 + 66.0 * math.sin(angle)
-        places.append((x, y, weight, " + ".join(names)))
-    for x, y, _, _ in places[1:]:
-        pieces.append(
-            f'<line class="edge" x1="{places[0][0]}" y1="{places[0][1]}" x2="{x:.0f}" y2="{y:.0f}"/>'
-        )
-    for x, y, weight, name in places:
-        radius = 7.0 + 17.0 * math.sqrt(weight)
-        pieces.append(f'<circle class="disc" cx="{x:.0f}" cy="{y:.0f}" r="{radius:.1f}"/>')
-        words = escape(f"{name} {100 * weight:.0f} %")
-        pieces.append(f'<text class="mark mid" x="{x:.0f}" y="{y + radius + 12:.0f}">{words}</text>')
-    return f'<svg viewBox="0 0 420 220" role="img" aria-label="ambiguity">{"".join(pieces)}</svg>'
+    rows = [(" + ".join(names), 100.0 * weight) for names, weight in sets if len(sets) > 1]
+    return bars(rows, "%", "explanations and their probabilities")
 
 
 def interval_figure(low: float, share: float, high: float) -> str:

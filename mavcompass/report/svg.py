@@ -1,7 +1,9 @@
 """Small plots as inline SVG: scalable, light, and coloured by the page's style sheet, dark or light.
 
-A plot is built from text pieces; numbers are rounded to a tenth of a pixel, so a thousand points stay
-below twenty kilobytes. Marks carry classes (`old`, `new`, `point`, ...), never colours.
+A plot is built from text pieces; dots are rounded to a tenth of a pixel, so a thousand stay below twenty
+kilobytes. Marks carry classes (`old`, `new`, `point`, ...), never colours. The picture is all that paper and
+a reader without scripts need, and it holds its own data: templates/plot.js reads them from the paths, and
+adds values under the pointer, zoom and turning.
 """
 
 from __future__ import annotations
@@ -46,7 +48,7 @@ class Plot:
 
     Attributes:
         x_range, y_range: what the axes show. equal: one unit is as long on both axes (for circles).
-        title: for screen readers.
+        title: for screen readers. turns: coordinates are a view of three, without axes.
     """
 
     x_range: tuple[float, float]
@@ -58,6 +60,7 @@ class Plot:
     height: float = 300.0
     equal: bool = False
     x_ticks: Sequence[float] | None = None
+    turns: bool = False
     _pieces: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -72,60 +75,70 @@ class Plot:
         self.y_range = _about_middle(self.y_range, per_pixel * high)
 
     def x(self, value: float) -> float:
-        """Return the pixel of an abscissa."""
+        """Return the pixel of an abscissa within the axes."""
         low, high = self.x_range
-        return _LEFT + (value - low) / (high - low) * (self.width - _LEFT - _RIGHT)
+        return (value - low) / (high - low) * (self.width - _LEFT - _RIGHT)
 
     def y(self, value: float) -> float:
-        """Return the pixel of an ordinate; up is more."""
+        """Return the pixel of an ordinate within the axes; up is more."""
         low, high = self.y_range
-        return self.height - _BOTTOM - (value - low) / (high - low) * (self.height - _TOP - _BOTTOM)
+        return (high - value) / (high - low) * (self.height - _TOP - _BOTTOM)
 
-    def line(self, x: ArrayLike, y: ArrayLike, css: str) -> None:
-        """Draw a line through points; it is broken where a value is not finite."""
+    def line(self, x: ArrayLike, y: ArrayLike, css: str, name: str = "", z: ArrayLike = ()) -> None:
+        """Draw a line through points; it is broken where a value is not finite. z: towards the viewer."""
         path, pen_down = [], False
         for px, py in self._pixels(x, y):
-            if px is None:
-                pen_down = False
-                continue
-            path.append(f"{'L' if pen_down else 'M'}{px:.1f} {py:.1f}")
-            pen_down = True
-        if path:
-            self._pieces.append(f'<path class="line {css}" d="{"".join(path)}"/>')
+            if px is not None:
+                path.append(f"{'L' if pen_down else 'M'}{px:.2f} {py:.2f}")
+            pen_down = px is not None
+        self._path(f"line {css}", "".join(path), name, z)
 
     def band(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, css: str) -> None:
         """Fill between two lines."""
         there = [f"{px:.1f} {py:.1f}" for px, py in self._pixels(x, high) if px is not None]
         back = [f"{px:.1f} {py:.1f}" for px, py in self._pixels(x, low) if px is not None]
-        if there:
-            self._pieces.append(f'<path class="band {css}" d="M{"L".join(there + back[::-1])}Z"/>')
+        self._path(f"band {css}", f"M{'L'.join(there + back[::-1])}Z" if there else "")
 
-    def dots(self, x: ArrayLike, y: ArrayLike, css: str, radius: float = 1.6) -> None:
-        """Draw many dots as one element."""
-        r = f"{radius:.1f}"
-        dot = f"a{r} {r} 0 1 0 {2 * radius:.1f} 0a{r} {r} 0 1 0 -{2 * radius:.1f} 0"
-        path = [f"M{px - radius:.1f} {py:.1f}{dot}" for px, py in self._pixels(x, y) if px is not None]
-        if path:
-            self._pieces.append(f'<path class="dots {css}" d="{"".join(path)}"/>')
+    def dots(
+        self, x: ArrayLike, y: ArrayLike, css: str, radius: float = 1.6, name: str = "", z: ArrayLike = ()
+    ) -> None:
+        """Draw many dots as one element: lines without length, with round ends."""
+        path = [f"M{px:.1f} {py:.1f}h0" for px, py in self._pixels(x, y) if px is not None]
+        self._path(f"dots {css}", "".join(path), name, z, f' stroke-width="{2.0 * radius:.1f}"')
 
-    def circle(self, x: float, y: float, radius: float, css: str) -> None:
-        """Draw a circle of a radius in data units; for plots with equal units."""
-        pixels = abs(self.x(x + radius) - self.x(x))
-        self._pieces.append(
-            f'<circle class="line {css}" cx="{self.x(x):.1f}" cy="{self.y(y):.1f}" r="{pixels:.1f}"/>'
-        )
+    def circle(self, radius: float, css: str, name: str = "") -> None:
+        """Draw a circle about the origin, of a radius in data units; for plots with equal units."""
+        turn = np.linspace(0.0, 2.0 * np.pi, 121)
+        self.line(radius * np.sin(turn), radius * np.cos(turn), css, name)
 
-    def text(self, x: float, y: float, words: str, dx: float = 0.0, dy: float = 0.0) -> None:
+    def text(self, x: float, y: float, words: str, dx: float = 0.0, dy: float = 0.0, z: float = 0.0) -> None:
         """Write words at a point."""
-        at = f'x="{self.x(x) + dx:.1f}" y="{self.y(y) + dy:.1f}"'
+        at = f'x="{self.x(x):.1f}" y="{self.y(y):.1f}" dx="{dx:g}" dy="{dy:g}"{self._depths([z])}'
         self._pieces.append(f'<text class="mark" {at}>{escape(words)}</text>')
 
     def render(self) -> str:
         """Return the whole element."""
+        (x0, x1), (y0, y1) = self.x_range, self.y_range
+        labels = "" if self.turns else f' data-labels="{escape(self.x_label)}|{escape(self.y_label)}"'
+        ticks = "" if self.x_ticks is None else f' data-ticks="{" ".join(f"{t:g}" for t in self.x_ticks)}"'
         return (
-            f'<svg viewBox="0 0 {self.width:.0f} {self.height:.0f}" role="img"'
-            f' aria-label="{escape(self.title)}">{self._axes()}{"".join(self._pieces)}</svg>'
+            f'<svg class="plot{" turns" * self.turns}{" equal" * self.equal}" role="img"'
+            f' viewBox="0 0 {self.width:.0f} {self.height:.0f}" aria-label="{escape(self.title)}"'
+            f' data-x="{x0:.6g} {x1:.6g}" data-y="{y0:.6g} {y1:.6g}"{labels}{ticks}>'
+            f'<g class="axes">{"" if self.turns else self._axes()}</g>'
+            f'<svg class="area" x="{_LEFT}" y="{_TOP}" width="{self.width - _LEFT - _RIGHT}"'
+            f' height="{self.height - _TOP - _BOTTOM}">{"".join(self._pieces)}</svg></svg>'
         )
+
+    def _path(self, css: str, path: str, name: str = "", z: ArrayLike = (), more: str = "") -> None:
+        if path:
+            title = f"<title>{escape(name)}</title>" if name else ""
+            self._pieces.append(f'<path class="{css}" d="{path}"{self._depths(z)}{more}>{title}</path>')
+
+    def _depths(self, z: ArrayLike) -> str:
+        scale = (self.width - _LEFT - _RIGHT) / (self.x_range[1] - self.x_range[0])
+        depths = " ".join(f"{scale * v:.1f}" for v in np.ravel(z))
+        return f' data-z="{depths}"' if self.turns else ""
 
     def _pixels(self, x: ArrayLike, y: ArrayLike) -> Iterable[tuple[float | None, float]]:
         for vx, vy in zip(np.ravel(x), np.ravel(y), strict=True):
@@ -137,15 +150,17 @@ class Plot:
         pieces = []
         x_ticks = nice_ticks(*self.x_range) if self.x_ticks is None else self.x_ticks
         for tick in x_ticks:
-            at = f"{self.x(tick):.1f}"
+            at = f"{_LEFT + self.x(tick):.1f}"
             css = "zero" if tick == 0.0 else "grid"
-            pieces.append(f'<line class="{css}" x1="{at}" x2="{at}" y1="{_TOP}" y2="{bottom}"/>')
-            pieces.append(f'<text class="tick" x="{at}" y="{bottom + 14:.1f}">{tick + 0.0:g}</text>')
-        for tick in nice_ticks(*self.y_range):
-            at = f"{self.y(tick):.1f}"
-            css = "zero" if tick == 0.0 else "grid"
-            pieces.append(f'<line class="{css}" x1="{_LEFT}" x2="{right}" y1="{at}" y2="{at}"/>')
             pieces.append(
+                f'<line class="{css}" x1="{at}" x2="{at}" y1="{_TOP}" y2="{bottom}"/>'
+                f'<text class="tick" x="{at}" y="{bottom + 14:.1f}">{tick + 0.0:g}</text>'
+            )
+        for tick in nice_ticks(*self.y_range):
+            at = f"{_TOP + self.y(tick):.1f}"
+            css = "zero" if tick == 0.0 else "grid"
+            pieces.append(
+                f'<line class="{css}" x1="{_LEFT}" x2="{right}" y1="{at}" y2="{at}"/>'
                 f'<text class="tick side" x="{_LEFT - 6}" y="{at}" dy="0.32em">{tick + 0.0:g}</text>'
             )
         middle_x, middle_y = (_LEFT + right) / 2, (_TOP + bottom) / 2
@@ -165,7 +180,8 @@ def bars(rows: Sequence[tuple[str, float]], unit: str, title: str) -> str:
     known = [(name, value) for name, value in rows if math.isfinite(value)]
     if not known:
         return ""
-    width, step, left, right = 420.0, 26.0, 128.0, 76.0
+    width, step, right = 420.0, 26.0, 76.0
+    left = max(6.4 * max(len(name) for name, _ in known) + 12.0, 60.0)
     most = max(value for _, value in known) or 1.0
     pieces = []
     for k, (name, value) in enumerate(known):

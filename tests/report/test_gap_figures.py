@@ -17,7 +17,7 @@ def waterfall(after: float, floor: float) -> str:
 
 
 def levels(after: float, floor: float) -> str:
-    return levels_figure([("nominal", 48.0, "old"), ("after", after, "new")], floor, "mG")
+    return levels_figure([("nominal", 48.0, "old", None), ("after", after, "new", None)], floor, "mG")
 
 
 @pytest.mark.parametrize("figure", [waterfall, levels])
@@ -43,5 +43,5 @@ def test_lines_that_end_together_have_their_letters_side_by_side() -> None:
         valid=every, test=every, innovations=0.0 * before, coordinates={"time": (time, "s")},
     )  # fmt: skip
     root = ET.fromstring(strip(picture, "time"))
-    at = {e.text: float(e.attrib["x"]) for e in root if e.attrib.get("class") == "mark"}
+    at = {e.text: float(e.attrib["dx"]) for e in root.iter() if e.attrib.get("class") == "mark"}
     assert at["y"] == at["x"] and at["z"] >= at["y"] + 8.0

@@ -43,7 +43,7 @@ def test_a_plot_is_well_formed_and_places_points_right() -> None:
     plot.text(1.0, 1.0, "<1>")
     root = ET.fromstring(plot.render())
     assert root.attrib["aria-label"] == 'title "quoted"'
-    path = next(e for e in root if e.attrib.get("class") == "line old")
+    path = next(e for e in root.iter() if e.attrib.get("class") == "line old")
     assert path.attrib["d"].count("M") == 2, "a gap breaks the line"
     assert plot.x(5.0) == pytest.approx((plot.x(0.0) + plot.x(10.0)) / 2)
     assert plot.y(1.0) < plot.y(0.0)

@@ -21,6 +21,7 @@ from starlette.routing import BaseRoute, Route, WebSocketRoute
 
 from mavcompass import __version__
 from mavcompass.errors import MavCompassError
+from mavcompass.report.page import PLOT_PARTS, POLICY
 from mavcompass.service.config import ServiceConfig
 from mavcompass.service.models import Model
 from mavcompass.service.station import Station
@@ -50,7 +51,6 @@ from mavcompass.service.work.tasks import Busy, CalibrationRequest, CheckRequest
 from mavcompass.service.work.tasks import Request as TaskRequest
 
 PAGE = Path(__file__).with_name("page")
-_REPORT_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'"
 
 
 def build_app(
@@ -127,7 +127,7 @@ async def _part(request: Request) -> Response:
 @cache
 def _parts() -> dict[str, bytes]:
     """Hold the page's files, some forty kilobytes, in memory: no thread reads them for each who asks."""
-    return {path.name: path.read_bytes() for path in PAGE.iterdir()}
+    return {path.name: path.read_bytes() for path in (*PAGE.iterdir(), *PLOT_PARTS)}
 
 
 async def _describe(request: Request) -> Response:
@@ -251,7 +251,7 @@ class Api:
         entry = await self._entry(asked.entry)
         if entry.report is None or not Path(entry.report).is_file():
             raise HTTPException(404, f"Entry {entry.id} has no report.")
-        headers = {"content-security-policy": _REPORT_POLICY}
+        headers = {"content-security-policy": f"{POLICY}; frame-ancestors 'none'"}
         return _File(entry.report, media_type="text/html", headers=headers)
 
     async def recording(self, asked: EntryPath) -> Response:

@@ -185,7 +185,7 @@ def test_the_page_groups_by_separation(tmp_path: Path) -> None:
     write_trial_report(trial(), page)
     text = page.read_text()
     assert "8 cases, seed 7" in text and "43.8 to 100.0" in text
-    assert "One effect, separation at least 9: exact" in text  # in words, for who has not read docs/gap.md
+    assert "One fault, plain to see: named" in text and "d_" not in text.split("<script")[0].split("<h1>")[1]
     document = trial().to_json()
     assert document["figures"]["single, d_sep >= 9: exact"] == {  # type: ignore[index]
         "hits": 3,

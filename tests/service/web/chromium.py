@@ -158,11 +158,8 @@ class Page:
                 " return [r.x + r.width / 2, r.y + r.height / 2, r.width]; })()"
             )
             assert box[2] > 0, f"{selector} is not shown"
-            at = {"x": box[0] + off[0], "y": box[1] + off[1]}
             for kind in ("mousePressed", "mouseReleased"):
-                self._call(
-                    "Input.dispatchMouseEvent", {"type": kind, **at, "button": "left", "clickCount": 1}
-                )
+                self._mouse(kind, box[0] + off[0], box[1] + off[1])
             if self.run("window.heard"):
                 return
             if landed := self.run("window.at"):
@@ -171,12 +168,37 @@ class Page:
         raise AssertionError(f"{selector} does not get the click")
 
     def press(self, key: str) -> None:
-        """Press Tab or Enter."""
-        code = {"Tab": 9, "Enter": 13}[key]
-        pressed = {"key": key, "code": key, "windowsVirtualKeyCode": code}
+        """Press a key: Tab, Enter, ArrowLeft, +."""
+        pressed = {"key": key, "windowsVirtualKeyCode": {"Tab": 9, "Enter": 13}.get(key, 0)}
         text = {"text": "\r"} if key == "Enter" else {}
         self._call("Input.dispatchKeyEvent", {"type": "keyDown", **pressed, **text})
         self._call("Input.dispatchKeyEvent", {"type": "keyUp", **pressed})
+
+    def hover(self, selector: str) -> tuple[float, float]:
+        """Put the mouse over the middle of an element, and return where that is."""
+        x, y = self.run(
+            f'(() => {{ const e = document.querySelector("{selector}");'
+            " e.scrollIntoView({block: 'center'}); const r = e.getBoundingClientRect();"
+            " return [r.x + r.width / 2, r.y + r.height / 2]; })()"
+        )
+        self._mouse("mouseMoved", x, y)
+        return x, y
+
+    def drag(self, selector: str, right: float, down: float) -> None:
+        """Drag the mouse from the middle of an element."""
+        x, y = self.hover(selector)
+        self._mouse("mousePressed", x, y)
+        for part in (0.5, 1.0):
+            self._mouse("mouseMoved", x + part * right, y + part * down)
+        self._mouse("mouseReleased", x + right, y + down)
+
+    def _mouse(self, kind: str, x: float, y: float) -> None:
+        button = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
+        self._call("Input.dispatchMouseEvent", {"type": kind, "x": x, "y": y, **button})
+
+    def run_scripts(self, wanted: bool) -> None:
+        """Let the pages that are opened from now on run their scripts, or not."""
+        self._call("Emulation.setScriptExecutionDisabled", {"value": not wanted})
 
     def tab_to(self, selector: str, most: int = 20) -> None:
         """Reach an element by the Tab key alone."""

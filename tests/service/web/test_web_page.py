@@ -136,11 +136,14 @@ def test_a_calibration_from_the_page_to_written_parameters(
     page.wait("document.querySelectorAll('#history li[data-kind=calibration]').length === 1")
     for part in ("Old and new", "Error budget", "Deviation card"):
         assert part in page.text("#result")
+    page.hover("#result svg.plot")
+    assert re.match(r"old calibration: heading \d+ deg, error -?\d+\.\d deg", page.text("#result output"))
     look(page, "4-result", whole=True)
     assert page.errors == []
 
     page.open(f"{running.service.url}api/history/1/report")
     assert "Compass calibration" in page.text("h1")
+    assert page.run("document.querySelectorAll('.hand').length") > 6, "the policy lets its script run"
     look(page, "5-report", whole=True)
     assert page.errors == []
 

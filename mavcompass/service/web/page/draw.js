@@ -1,4 +1,6 @@
-// Everything that is drawn: the rose, the field's circle, the deviation plot. SVG, no library.
+// Everything that is drawn: the rose, the field's circle, the deviation plot. SVG; plot.js is the reports' own.
+
+import { touch } from "./plot.js";
 
 const NS = "http://www.w3.org/2000/svg";
 const RAD = Math.PI / 180;
@@ -152,19 +154,19 @@ export function beforeAndAfter({ instance, old_circle, horizontal_mgauss }) {
 // --- the deviation card as a line ---------------------------------------------------------------
 
 export function deviationPlot(rows, sigma) {
-  const svg = element("svg", { viewBox: "0 0 372 150", class: "card-plot", role: "img", "aria-label": "Deviation of the old calibration" });
-  const most = Math.max(...rows.map((row) => Math.abs(row.old_error_deg)), sigma ?? 0, 1);
-  const x = (degrees) => 30 + (degrees / 360) * 322, y = (error) => 68 - (error / most) * 56;
-  for (const degrees of [0, 90, 180, 270, 360]) {
-    svg.append(element("line", { x1: x(degrees), x2: x(degrees), y1: 10, y2: 126, class: "p-grid" }));
-    svg.append(element("text", { x: x(degrees), y: 142, class: "p-text" }, `${degrees}°`));
-  }
-  for (const error of [-most, 0, most]) {
-    svg.append(element("line", { x1: x(0), x2: x(360), y1: y(error), y2: y(error), class: error ? "p-grid" : "p-zero" }));
-    svg.append(element("text", { x: 26, y: y(error) + 3, class: "p-text p-side" }, `${error > 0 ? "+" : ""}${error.toFixed(most < 5 ? 1 : 0)}`));
-  }
-  if (sigma) svg.append(element("rect", { x: x(0), width: 322, y: y(sigma), height: y(-sigma) - y(sigma), class: "p-band" }));
-  const round = [...rows, { ...rows[0], heading_deg: 360 }];
-  svg.append(element("path", { class: "p-old", d: line(round.map((row) => [x(row.heading_deg), y(row.old_error_deg)])) }));
-  return svg;
+  const most = 1.06 * Math.max(...rows.map((row) => Math.abs(row.old_error_deg)), sigma ?? 0, 1);
+  const y = (error) => 70 - (error / most) * 70;
+  const path = (points) => points.map((point, k) => `${k ? "L" : "M"}${point.map((v) => v.toFixed(2)).join(" ")}`).join("");
+  const svg = element("svg", { viewBox: "0 0 418 186", class: "plot", role: "img", "aria-label": "Deviation of the old calibration",
+    "data-x": "0 360", "data-y": `${-most} ${most}`, "data-labels": "heading, deg|error, deg", "data-ticks": "0 45 90 135 180 225 270 315 360" });
+  const area = element("svg", { class: "area", x: 46, y: 12, width: 360, height: 140 });
+  svg.append(element("g"), area);
+  if (sigma) area.append(element("path", { class: "band new", d: path([[0, y(sigma)], [360, y(sigma)], [360, y(-sigma)], [0, y(-sigma)]]) }));
+  const old = element("path", { class: "line old", d: path([...rows, { ...rows[0], heading_deg: 360 }].map((row) => [row.heading_deg, y(row.old_error_deg)])) });
+  old.append(element("title", {}, "old calibration"));
+  area.append(old);
+  const box = document.createElement("div");
+  box.append(svg);
+  touch(svg); // draws the axes
+  return box;
 }
