@@ -14,7 +14,7 @@ LINES = {
     "package simulation": (7_850, 5_800),
     "package attitude calibration heading": (9_020, 5_400),
     "package vehicle messages enums.py": (7_690, 5_200),
-    "package procedure": (6_310, 4_400),
+    "package procedure": (6_320, 4_400),
     "package service": (5_300, 4_100),
     "package logs": (4_450, 3_600),
     "package cli": (4_050, 2_900),

@@ -126,18 +126,17 @@ def compare(
         found = _deviation(moments, other.heading.nearest(moments.time_s, _NEAREST_S))
         if found is None:
             continue
-        (a, b, c), sigma, left = found
-        turns_alike = left < _NO_HEADING_RAD
-        if not turns_alike and not other.calibrated:
-            continue
-        if not turns_alike:
-            a, b, c = math.nan, math.nan, math.nan
-        elif other.calibrated:
+        shown, sigma, left = found
+        if left < _NO_HEADING_RAD and other.calibrated:
             scatters.append(left)
+        elif left < _NO_HEADING_RAD:
+            shown = (shown[0], math.nan, math.nan)
+        elif other.calibrated:
+            shown = (math.nan, math.nan, math.nan)
         else:
-            b, c = math.nan, math.nan
+            continue
         name, sure = f"compass {other.instance}", math.hypot(other.sigma_rad, sigma)
-        sources.append(HeadingSource(name, (a, b, c), sure, other.by_itself))
+        sources.append(HeadingSource(name, shown, sure, other.by_itself))
     return Evidence((*sources, *_elsewhere(moments, mine.instance)), min(scatters, default=0.0))
 
 

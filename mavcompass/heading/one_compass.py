@@ -10,8 +10,7 @@ import numpy as np
 from mavcompass.attitude import levels
 from mavcompass.compass_parameters import is_calibrated
 from mavcompass.correction import FieldCorrection
-from mavcompass.earth_field import EarthField, middle_place
-from mavcompass.earth_field import earth_field_of as earth_field_of
+from mavcompass.earth_field import EarthField, earth_field_of, middle_place
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, tilt_from_acceleration
 from mavcompass.gravity import require_gravity

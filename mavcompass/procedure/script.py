@@ -12,8 +12,8 @@ run as any other part of it, so what was changed is put back over the wire befor
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Generator
-from contextlib import suppress
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
@@ -127,6 +127,15 @@ class Context:
     def show(self, step: str, text: str, fraction: float | None = None, **data: float) -> None:
         """Leave a line for the person."""
         self.outbox.append(Show(step, text, fraction, tuple(data.items())))
+
+    @contextmanager
+    def station(self, wanted: bool = True) -> Iterator[None]:
+        """Beat as a ground station, too, for a while; see `as_station`."""
+        self.as_station = wanted
+        try:
+            yield
+        finally:
+            self.as_station = False
 
     def heard_from_vehicle(self, event: Event) -> Incoming | None:
         """Return the event if it is a message of this script's vehicle (or none is chosen yet)."""

@@ -118,14 +118,14 @@ class _Checker:
     def look_at_rest(self) -> Script[None]:
         """Dwell, and answer every question that needs no turn."""
         context = self.desk.context
-        if not self.desk.state.armed:  # what forbids arming is told to who asks
-            context.as_station = self.desk.identity.autopilot == "px4"
+        asks = not self.desk.state.armed
+        if asks:  # what forbids arming is told to who asks
             context.send(mav.CommandLong(context.system, context.component, MavCmd.RUN_PREARM_CHECKS))
         context.show("dwell", "Looking at the compasses at rest.", 0.3)
         mover = VehicleMover(self.desk.gyro, ())  # nobody moves it yet
         self.desk.rest.compasses = self.desk.instances
-        window = yield from self.desk.dwell(mover, self.settings.dwell)
-        context.as_station = False
+        with context.station(asks and self.desk.identity.autopilot == "px4"):
+            window = yield from self.desk.dwell(mover, self.settings.dwell)
         self.windows.append(window)
         track = self.desk.builder.build()
         self._judge_parameters()

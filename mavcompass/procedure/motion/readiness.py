@@ -156,15 +156,14 @@ class Readiness:
                 said.append(printable(incoming.message.text))
 
         context.listeners.append(note)
-        context.as_station = self.identity.autopilot == "px4"
         try:
-            yield from command(context, number, *parameters, what=what)
-            end_s = context.now + 3.0
-            while context.now < end_s and not self.state.armed:
-                yield from pause(context, 0.1)
+            with context.station(self.identity.autopilot == "px4"):
+                yield from command(context, number, *parameters, what=what)
+                end_s = context.now + 3.0
+                while context.now < end_s and not self.state.armed:
+                    yield from pause(context, 0.1)
         finally:
             context.listeners.remove(note)
-            context.as_station = False
             self._armed_by_us = self.state.armed
         return tuple(said)
 

@@ -204,23 +204,22 @@ def calibrate_px4(context: Context) -> Script[str]:
     """
     told, ended = _Texts(), False
     context.listeners.append(told.hear)
-    context.as_station = True
-    try:
-        yield from _begin(
-            context,
-            MavCmd.PREFLIGHT_CALIBRATION,
-            *(0.0, 1.0),
-            remedy="Disarm it, and let any other calibration end.",
-            said=lambda: f" {told.other}",
-        )
-        why = yield from _until_done(context, told)
-        ended = True
-        return why
-    finally:
-        context.listeners.remove(told.hear)
-        if not ended:
-            yield from _cancel(context, MavCmd.PREFLIGHT_CALIBRATION)
-        context.as_station = False
+    with context.station():
+        try:
+            yield from _begin(
+                context,
+                MavCmd.PREFLIGHT_CALIBRATION,
+                *(0.0, 1.0),
+                remedy="Disarm it, and let any other calibration end.",
+                said=lambda: f" {told.other}",
+            )
+            why = yield from _until_done(context, told)
+            ended = True
+            return why
+        finally:
+            context.listeners.remove(told.hear)
+            if not ended:
+                yield from _cancel(context, MavCmd.PREFLIGHT_CALIBRATION)
 
 
 def _until_done(context: Context, told: _Texts) -> Script[str]:

@@ -64,7 +64,7 @@ export class Rose {
 // --- the field as the vehicle turns -------------------------------------------------------------
 
 const closed = (points) => `${line(points)}Z`;
-const line = (points) => points.map((p, k) => `${k ? "L" : "M"}${p.map((v) => v.toFixed(1)).join(" ")}`).join("");
+const line = (points, digits = 1) => points.map((p, k) => `${k ? "L" : "M"}${p.map((v) => v.toFixed(digits)).join(" ")}`).join("");
 // Forward is up.
 const placing = (farthest, radius) => ([forward, right]) => [(right * radius) / farthest, (-forward * radius) / farthest];
 const far = (points) => Math.max(0, ...points.map(([f, r]) => Math.hypot(f, r)));
@@ -156,13 +156,12 @@ export function beforeAndAfter({ instance, old_circle, horizontal_mgauss }) {
 export function deviationPlot(rows, sigma) {
   const most = 1.06 * Math.max(...rows.map((row) => Math.abs(row.old_error_deg)), sigma ?? 0, 1);
   const y = (error) => 70 - (error / most) * 70;
-  const path = (points) => points.map((point, k) => `${k ? "L" : "M"}${point.map((v) => v.toFixed(2)).join(" ")}`).join("");
   const svg = element("svg", { viewBox: "0 0 418 186", class: "plot", role: "img", "aria-label": "Deviation of the old calibration",
     "data-x": "0 360", "data-y": `${-most} ${most}`, "data-labels": "heading, deg|error, deg", "data-ticks": "0 45 90 135 180 225 270 315 360" });
   const area = element("svg", { class: "area", x: 46, y: 12, width: 360, height: 140 });
   svg.append(element("g"), area);
-  if (sigma) area.append(element("path", { class: "band new", d: path([[0, y(sigma)], [360, y(sigma)], [360, y(-sigma)], [0, y(-sigma)]]) }));
-  const old = element("path", { class: "line old", d: path([...rows, { ...rows[0], heading_deg: 360 }].map((row) => [row.heading_deg, y(row.old_error_deg)])) });
+  if (sigma) area.append(element("path", { class: "band new", d: line([[0, y(sigma)], [360, y(sigma)], [360, y(-sigma)], [0, y(-sigma)]], 2) }));
+  const old = element("path", { class: "line old", d: line([...rows, { ...rows[0], heading_deg: 360 }].map((row) => [row.heading_deg, y(row.old_error_deg)]), 2) });
   old.append(element("title", {}, "old calibration"));
   area.append(old);
   const box = document.createElement("div");
