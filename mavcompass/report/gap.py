@@ -16,12 +16,24 @@ from mavcompass.report.gap_figures import (
     tests_figure,
     waterfall_figure,
 )
-from mavcompass.report.gap_words import RMS_OF, SHADES, VERDICTS, advice, figures_of, shrink_words
+from mavcompass.report.gap_words import (
+    REFERENCES,
+    RMS_OF,
+    SHADES,
+    VERDICTS,
+    advice,
+    channel_words,
+    could_not_show,
+    figures_of,
+    shrink_words,
+)
 from mavcompass.report.page import write_page
 from mavcompass.simulation.effects import catalogue
 
 if TYPE_CHECKING:
     from mavcompass.gap.trial import Trial
+
+_MOST_PLACES = 10
 
 
 def write_gap_report(diagnosis: Diagnosis, path: Path) -> None:
@@ -30,7 +42,7 @@ def write_gap_report(diagnosis: Diagnosis, path: Path) -> None:
         "Recording": diagnosis.path or "unknown",
         "Length": f"{diagnosis.duration_s:.0f} s, {diagnosis.samples} readings",
         "Compass": str(diagnosis.compass),
-        "Attitude from": diagnosis.reference,
+        "Attitude from": REFERENCES[diagnosis.reference],
         "Field and heading": RMS_OF,
     }
     if diagnosis.in_force is not None and (cured := diagnosis.in_force.words()) is not None:
@@ -56,6 +68,11 @@ def write_gap_report(diagnosis: Diagnosis, path: Path) -> None:
         "ambiguity": ambiguity_figure(diagnosis),
         "tests": tests_figure(diagnosis.tests),
         "advice": advice(diagnosis),
+        "places": [(channel_words(p.channel), p) for p in diagnosis.where[:_MOST_PLACES]],
+        "not_testable": [
+            (why, [catalogue()[effect].title for effect in effects])
+            for why, effects in could_not_show(diagnosis).items()
+        ],
         "field_shrink": shrink_words(diagnosis.field),
         "heading_shrink": shrink_words(diagnosis.heading),
     }

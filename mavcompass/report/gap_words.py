@@ -61,6 +61,14 @@ _REMEDIES = {
     "accel_scale": _IMU,
     "vibration_rectification": "Damp the autopilot's vibrations: it is not the compass",
 }
+_SENSORS = {"mag": "compass", "acc": "accelerometer", "gyro": "gyro"}
+REFERENCES = {
+    "columns": "the recording's own reference",
+    "fused": "gyro, accelerometer, receiver and autopilot, smoothed together",
+    "gps-yaw": "the second antenna's yaw, with the gyro",
+    "gyro": "the gyro and the accelerometer",
+    "attitude": "the autopilot's own attitude",
+}
 # What the figures of field and heading are; those of a rehearsal are over the circle instead.
 RMS_OF = "figures are rms over the samples of the parts held out, not over the circle of headings"
 _COARSE_DEG = 3.0
@@ -233,6 +241,20 @@ def shrink_words(closing: Closing) -> str:
     return f"{shrink} ({ends}{'' if sure else ', uncertain'})"
 
 
+def channel_words(channel: str) -> str:
+    """Spell a channel as people do: mag_x is the compass's x."""
+    sensor, _, axis = channel.partition("_")
+    return f"{_SENSORS[sensor]}'s {axis}" if axis else channel
+
+
+def could_not_show(diagnosis: Diagnosis) -> dict[str, list[str]]:
+    """Group by the reason what this recording cannot test, by the effects' ids."""
+    by_reason: dict[str, list[str]] = {}
+    for effect, why in diagnosis.not_testable:
+        by_reason.setdefault(why, []).append(effect)
+    return by_reason
+
+
 def _places(places: Sequence[Place]) -> str:
     """Name the channel that holds most of the gap, and what it goes with."""
     channels = [p for p in places if p.coordinate == "axis"]
@@ -240,7 +262,7 @@ def _places(places: Sequence[Place]) -> str:
     for place in places:
         if place.coordinate != "axis":
             goes_with[place.coordinate] = max(place.share, goes_with.get(place.coordinate, 0.0))
-    on = f", most on {channels[0].channel}" if channels else ""
+    on = f", most on the {channel_words(channels[0].channel)}" if channels else ""
     if not goes_with:
         return f"on no one thing{on}".replace("on no one thing, most on", "mostly on")
     most = max(goes_with.values())
@@ -250,13 +272,11 @@ def _places(places: Sequence[Place]) -> str:
 
 
 def _background(diagnosis: Diagnosis) -> list[str]:
-    lines = [f"  attitude from: {diagnosis.reference}", f"  {RMS_OF}"]
+    lines = [f"  attitude from: {REFERENCES[diagnosis.reference]}", f"  {RMS_OF}"]
     if diagnosis.in_force is not None and (cured := diagnosis.in_force.words()) is not None:
         lines.append(f"  the calibration in force cures: {cured}")
     if diagnosis.corrected_rms_mgauss is not None:
         lines.append(f"  corrected readings less the field: {diagnosis.corrected_rms_mgauss:.2f} mG rms")
     lines += [f"  {note}" for note in diagnosis.notes]
-    by_reason: dict[str, list[str]] = {}
-    for effect, why in diagnosis.not_testable:
-        by_reason.setdefault(why, []).append(effect)
-    return lines + [f"  could not show ({why}): {', '.join(effects)}" for why, effects in by_reason.items()]
+    hidden = could_not_show(diagnosis)
+    return lines + [f"  could not show ({why}): {', '.join(effects)}" for why, effects in hidden.items()]

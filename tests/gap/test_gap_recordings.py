@@ -40,6 +40,15 @@ def test_firmware_recording_gives_back_the_simulators_parameters(distorted: tupl
         assert exported[f"SIM_MAG1_DIA_{axis}"] == pytest.approx(diagonal, rel=0.02)
 
 
+def test_gap_falls_with_each_cause_and_lies_along_what_varied(distorted: tuple[Track, Diagnosis]) -> None:
+    """The rover stood level, and warmed by a degree while it turned."""
+    _, found = distorted
+    squared = [bar.part_mgauss2 for bar in found.waterfall]
+    assert [bar.effect for bar in found.waterfall] == ["hard_iron", "axis_scale"] and min(squared) > 0.0
+    assert sum(squared) == pytest.approx(found.field.nominal**2 - found.field.after**2)
+    assert {place.coordinate for place in found.where} <= {"axis", "heading", "time", "rate", "current"}
+
+
 def test_gain_of_firmware_acts_on_the_field_and_bends_nothing_else(shared_data: Path) -> None:
     """SIM_MAG1_DIA acts before the offsets; an intensity or an inclination would strain what is known."""
     folder = shared_data / "gap-firmware" / "r_axis"

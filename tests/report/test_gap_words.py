@@ -122,7 +122,7 @@ def test_what_is_not_told_apart_is_named_together() -> None:
         Place("heading", "temperature", 0.84, ""),
         Place("heading", "tilt", 0.3, ""),
     ]
-    assert _places(places) == "mostly depends on time or temperature (86 %), most on mag_x"
+    assert _places(places) == "mostly depends on time or temperature (86 %), most on the compass's x"
 
 
 def test_what_could_not_show_is_counted_and_listed_only_when_asked_for(magnet: Diagnosis) -> None:

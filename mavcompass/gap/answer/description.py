@@ -33,7 +33,6 @@ from mavcompass.gap.result import (
     MATRIX,
     MOTOR,
     OFFSET,
-    Bar,
     Belief,
     Cured,
     Diagnosis,
@@ -147,8 +146,8 @@ def corrected_rms(problem: Problem, fit: Fit, rows: NDArray[np.bool_]) -> float 
 
 _BINS = 12
 _REPORTED = 16
+_ALWAYS = {"time", "rate", "heading"}
 _UNITS = {"current": "A", "throttle": "", "temperature": "degC"}
-_MOST_SHAPLEY = 4
 # An age of readings beyond so many of its sigmas is unusual.
 _BEYOND_USUAL = 2.0
 _WANDERS = (
@@ -160,7 +159,7 @@ _UNSEEN = "No held-out part shows what is named: its shrink is not measured. Rec
 
 
 def coordinates(problem: Problem) -> dict[str, tuple[FloatArray, str]]:
-    """Return the coordinates that the recording has: values (N,), and their unit."""
+    """Return the coordinates along which the recording varies: values (N,), and their unit."""
     s = problem.replay.signals.stimulus
     yaw = matrix_to_euler(s.rotation)[2]
     found: dict[str, tuple[FloatArray, str]] = {
@@ -173,7 +172,9 @@ def coordinates(problem: Problem) -> dict[str, tuple[FloatArray, str]]:
     position = s.position_ned_m
     if np.isfinite(position).all():
         found["position"] = (np.linalg.norm(position - position.mean(axis=0), axis=1), "m from the middle")
-    return {n: (v, u) for n, (v, u) in found.items() if np.isfinite(v).all() and float(np.std(v)) > 1e-9}
+    # What an effect of it could not be tested by tells nothing either: it mirrors something else.
+    varied = problem.replay.present | _ALWAYS
+    return {n: (v, u) for n, (v, u) in found.items() if n in varied and np.isfinite(v).all()}
 
 
 def channels(problem: Problem, fit: Fit) -> dict[str, FloatArray]:
@@ -269,9 +270,6 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
     # Whatever else is named, what single readings tell is there.
     beside = tuple(replace(cause, probability=sum(weights.values())) for cause in beside)
     causes = named_causes(identified, named, weights) + beside
-    bars: tuple[Bar, ...] = ()
-    if 1 <= len(named.terms) <= _MOST_SHAPLEY:
-        bars = waterfall(lambda ids: _subset(identified, ids), problem, named.ids, test)
     rivals = [
         (e.fit.ids, e.fit)
         for e in (identified.posterior.best, *identified.posterior.rivals)
@@ -296,7 +294,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
         where=where(problem.with_rows(replayed.valid), named),
         field=answer.field,
         heading=answer.heading,
-        waterfall=bars,
+        waterfall=waterfall(problem, named, test),
         unknown=answer.flagged,
         unknown_coordinate=answer.coordinate,
         tests=tuple((t.name, t.p) for t in evidence.adequacy.tests[:12]),
@@ -346,13 +344,3 @@ def _hidden(evidence: Evidence, named: Fit) -> dict[str, str]:
         return {}
     offsets = {e.id for e in catalogue().values() if e.affine and e.stage is Stage.FIELD}
     return dict.fromkeys(offsets - named.ids, "PX4's HIGHRES_IMU is less what its estimator learns of it")
-
-
-def _subset(identified: Identified, ids: frozenset[str]) -> Fit:
-    fit = identified.fit
-    if ids == fit.ids:
-        return fit
-    keep = [i for i, t in enumerate(fit.terms) if t.effect.id in ids]
-    # What is not an effect stays as the whole explanation has it, so that steps add up from the nominal.
-    steady = identified.problem.steady(fit)
-    return steady.fit([fit.terms[i] for i in keep], [fit.thetas[i] for i in keep], fit.nuisance_thetas)

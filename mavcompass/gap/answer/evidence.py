@@ -6,7 +6,7 @@ The closing is measured on held-out rows, with the named effects in the simulato
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -286,32 +286,25 @@ def _interval(
     return max(low, -_FARTHEST), min(high, 1.0 + _FARTHEST)
 
 
-def waterfall(
-    refit: Callable[[frozenset[str]], Fit], problem: Problem, ids: frozenset[str], test: NDArray[np.bool_]
-) -> tuple[Bar, ...]:
+def waterfall(problem: Problem, named: Fit, test: NDArray[np.bool_]) -> tuple[Bar, ...]:
     """Share the fall of the mean square on held-out rows among effects: Shapley's value and its range.
 
-    Every subset is fitted on the training rows; the range is over all orders of adding the effects.
+    Each effect is put right or left as the whole explanation has it; the range is over all orders.
     """
-    members = sorted(ids)
-    value: dict[frozenset[str], float] = {}
+    places = range(len(named.terms))
     measured = problem.replay.measured.mag_mgauss[test]
-    full = refit(ids)
-    value[frozenset()] = rms(measured - problem.predict(full, effects=False).mag_mgauss[test]) ** 2
-    for size in range(1, len(members) + 1):
-        for subset in combinations(members, size):
-            fit = full if size == len(members) else refit(frozenset(subset))
-            value[frozenset(subset)] = rms(measured - problem.predict(fit).mag_mgauss[test]) ** 2
+
+    def left(chosen: Sequence[int]) -> float:
+        terms, thetas = tuple(named.terms[at] for at in chosen), tuple(named.thetas[at] for at in chosen)
+        partly = Fit(terms, thetas, named.nuisance_thetas, np.inf)
+        return rms(measured - problem.predict(partly).mag_mgauss[test]) ** 2
+
+    value = {frozenset(c): left(c) for size in range(len(places) + 1) for c in combinations(places, size)}
     bars = []
-    for member in members:
-        others = [m for m in members if m != member]
-        parts, total = [], 0.0
-        for size in range(len(others) + 1):
-            weight = 1.0 / (len(members) * math.comb(len(others), size))
-            for subset in combinations(others, size):
-                before = frozenset(subset)
-                part = value[before] - value[before | {member}]
-                total += weight * part
-                parts.append(part)
-        bars.append(Bar(member, total, min(parts), max(parts)))
+    for place in places:
+        parts = [(before, v - value[before | {place}]) for before, v in value.items() if place not in before]
+        weighed = [part / math.comb(len(places) - 1, len(before)) for before, part in parts]
+        sizes = [part for _, part in parts]
+        whose = named.terms[place].effect.id
+        bars.append(Bar(whose, sum(weighed) / len(places), min(sizes), max(sizes)))
     return tuple(sorted(bars, key=lambda b: -b.part_mgauss2))

@@ -39,15 +39,12 @@ _LASTING_S = 10.0
 class Problem:
     """Fit hypotheses to the rows of a replay under a noise floor."""
 
-    def __init__(
-        self, replay: Replay, noise: Noise, rows: Mask, prior: Prior, *, steady: bool = False
-    ) -> None:
-        """Fit `rows` (N,); `steady` holds the nuisances at their means."""
+    def __init__(self, replay: Replay, noise: Noise, rows: Mask, prior: Prior) -> None:
+        """Fit `rows` (N,)."""
         self.replay = replay
         self.noise = noise
         self.rows = rows
         self.prior = prior
-        self._steady = steady
         self.nuisances = prior.nuisances
         self.groups = replay.groups
         self.composition = Composition(replay, prior.nuisances)
@@ -83,11 +80,6 @@ class Problem:
     def with_rows(self, rows: Mask) -> Problem:
         """Return the same problem on other rows."""
         return Problem(self.replay, self.noise, rows, self.prior)
-
-    def steady(self, fit: Fit) -> Problem:
-        """Return the same problem with the nuisances held where a fit has them."""
-        prior = self.prior.moved(np.concatenate([*fit.nuisance_thetas, np.zeros(0)]))
-        return Problem(self.replay, self.noise, self.rows, prior, steady=True)
 
     def predict(self, fit: Fit, effects: bool = True) -> Reading:
         """Return what the simulation says under a hypothesis, or under its nuisances alone."""
@@ -136,7 +128,7 @@ class Problem:
         """Return the derivatives of the whitened prediction by all that a fit may move."""
         states = self.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)
         n = len(self.nuisances)
-        members = range(n if self._steady else 0, n + len(fit.terms))
+        members = range(n + len(fit.terms))
         return self.columns(fit.terms, fit.thetas, fit.nuisance_thetas, states, members)
 
     def nuisance_changes(self, fit: Fit) -> Changes:
@@ -211,10 +203,7 @@ class Problem:
         terms = tuple(terms)
         x = [np.array(t, dtype=np.float64) for t in (*nuisance_thetas, *thetas)]
         n = len(self.nuisances)
-        fitted = 0 if self._steady else n
         free = [self.composition.free(terms, i) for i in range(len(x))]
-        if self._steady:
-            free[:n] = [np.arange(0)] * n
         weak = weak_precision(terms)
         bounds = [(n.effect.lower, n.effect.upper) for n in self.nuisances]
         bounds += [(t.lower, t.upper) for t in terms]
@@ -226,7 +215,7 @@ class Problem:
         first, made_at, own, ended = None, x[:n], None, False
         for _ in range(iterations):
             if first is None or self._away(x[:n], made_at) > _NEAR:
-                first, made_at = self.columns(terms, x[n:], x[:n], states, range(fitted)), x[:n]
+                first, made_at = self.columns(terms, x[n:], x[:n], states, range(n)), x[:n]
                 squared = first.T @ first
             if own is None:
                 own = self.columns(terms, x[n:], x[:n], states, range(n, n + len(terms)))
@@ -274,7 +263,7 @@ class Problem:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the normal matrix and the gradient, priors included, of derivatives whose first part is
         `squared` already."""
-        n, n_dim = len(self.nuisances), 0 if self._steady else self._prior.size
+        n, n_dim = len(self.nuisances), self._prior.size
         across = first.T @ own
         normal = np.block([[squared, across], [across.T, own.T @ own]]) + self._known(weak)
         gradient = np.concatenate([first.T @ r, own.T @ r])
@@ -287,7 +276,7 @@ class Problem:
 
     def _known(self, weak: FloatArray) -> FloatArray:
         """Return the precision of nuisances and free parameters before any reading."""
-        n_dim = 0 if self._steady else self._prior.size
+        n_dim = self._prior.size
         known = np.diag(np.concatenate([np.zeros(n_dim), weak]))
         known[:n_dim, :n_dim] = self._precision if n_dim else 0.0
         return known
