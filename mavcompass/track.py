@@ -161,6 +161,7 @@ class Track:
         current_a, throttle (0..1), temperature_degc: (N,); motors: outputs 0..1, (N, k).
         utc_offset_s: Unix time of time_s = 0; None where unknown.
         parameters: the vehicle's parameters as last seen in the recording.
+        texts: what the autopilot said, each once, the earliest first: its firmware, failsafes, a crash.
         notes: what the reader skipped or supposed, in sentences.
     """
 
@@ -186,6 +187,7 @@ class Track:
     motors: Series | None = None
     utc_offset_s: float | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
+    texts: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
     def motor_load(self, time_s: FloatArray, source: str) -> FloatArray | None:

@@ -16,10 +16,10 @@ LINES = {
     "package vehicle messages enums.py": (7_690, 5_200),
     "package procedure": (6_320, 4_400),
     "package service": (5_300, 4_100),
-    "package logs": (4_450, 3_600),
+    "package logs": (4_480, 3_600),
     "package cli": (4_050, 2_900),
-    "package": (66_370, 46_500),
-    "tests": (43_610, 29_000),
+    "package": (66_490, 46_500),
+    "tests": (43_640, 29_000),
     "scripts": (8_630, 4_400),
 }
 

@@ -312,6 +312,7 @@ def _vehicle(vehicle: Vehicle) -> dict[str, object]:
                 "device_id": history.device_id,
                 "rate_deg_per_30_days": history.rate_deg_per_30_days,
                 "history": [asdict(point) for point in history.points],
+                "moves": [asdict(move) for move in history.moves],
             }
             for history in vehicle.histories
         ],

@@ -40,6 +40,8 @@ _COMMON = [
     Column("accelerometer", "text", "short mark of the accelerometer's calibration, a vehicle's own"),
     Column("autopilot", "text", "ardupilot, px4 or unknown"),
     Column("vehicle_kind", "text", "rover, copter, ..."),
+    Column("firmware", "text", "of the autopilot, by its own word"),
+    Column("events", "text", "what the autopilot said of crashes and failsafes"),
     Column("recorded_at", "moment", "when the readings begin, UTC", "recorded_unix_s"),
     Column("recorded_at_is", "text", "recording (its own clock) or file (the file's date)"),
     Column("duration_s", "number", "from the first to the last magnetometer reading"),

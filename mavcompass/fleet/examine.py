@@ -27,6 +27,9 @@ Work = Literal["calibrate", "diagnose"]
 _AXES = ("x", "y", "z")
 _PAIRS = ("xy", "xz", "yz")
 _PIECE, _FEWEST_PIECES = 12, 8
+_FIRMWARE = re.compile(r"((?:Ardu|APM|PX4)\w* V?\d\S*)")
+# What an autopilot says when something happened to the vehicle that may have moved its iron.
+_EVENT = re.compile(r"crash|hit ground|failsafe", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,6 +113,8 @@ def _about(job: Job, path: str, track: Track) -> Row:
         "accelerometer": accelerometer_mark(track.parameters),
         "autopilot": track.autopilot,
         "vehicle_kind": track.vehicle,
+        "firmware": next((found[1] for text in track.texts if (found := _FIRMWARE.match(text))), None),
+        "events": "; ".join(filter(_EVENT.search, track.texts)) or None,
         "recorded_unix_s": track.utc_offset_s + start if known and track.utc_offset_s is not None else None,
         "duration_s": _number(track.duration_s),
         "notes": " ".join(track.notes),

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import pairwise
 from statistics import median
 
 import numpy as np
@@ -48,12 +50,38 @@ class Point:
 
 
 @dataclass(frozen=True, slots=True)
+class Move:
+    """Hold by how much the calibrations of two recordings, one after the other, differ beyond chance.
+
+    Attributes:
+        before_unix_s, after_unix_s: when they were recorded. deg: heading rms over the circle.
+        beside: what else came between them, in words.
+    """
+
+    before_unix_s: float
+    after_unix_s: float
+    deg: float
+    beside: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class History:
-    """Hold one compass of one vehicle over time, oldest first."""
+    """Hold one compass of one vehicle over time, oldest first, and when its calibration moved."""
 
     compass: int
     device_id: int | None
     points: tuple[Point, ...]
+    moves: tuple[Move, ...] = ()
+
+    @property
+    def health(self) -> str:
+        """Say in a line since when a compass's calibration stands still; nothing for a single flight."""
+        first, last = self.points[0], self.points[-1]
+        since = self.moves[-1] if self.moves else None
+        span_s = last.time_unix_s - (first.time_unix_s if since is None else since.after_unix_s)
+        steady = f"steady for {in_words(span_s)}" if span_s >= ONE_FLIGHT_S else ""
+        moved = f"moved by {since.deg:.1f}° until {_day(since.after_unix_s)}" if since is not None else ""
+        return ", ".join(filter(None, (moved, steady))) if last.drift_deg is not None else ""
 
     @property
     def rate_deg_per_30_days(self) -> float | None:
@@ -265,8 +293,33 @@ def _histories(rows: Sequence[Row]) -> tuple[History, ...]:
     out = []
     for (compass, device_id), own in sorted(by_compass.items(), key=lambda item: str(item[0])):
         own.sort(key=lambda row: (row["recorded_unix_s"], row["recording"]))
-        out.append(History(compass, device_id, tuple(_point(row, own[0]) for row in own)))
+        points = tuple(_point(row, own[0]) for row in own)
+        out.append(History(compass, device_id, points, tuple(_moves(own, rows))))
     return tuple(out)
+
+
+def _moves(own: Sequence[Row], rows: Sequence[Row]) -> Iterator[Move]:
+    """Yield where a compass's calibration moved from one recording to the next, of all its vehicle's rows."""
+    for old, new in pairwise(own):
+        point, start_s = _point(new, old), old["recorded_unix_s"]
+        if _is_beyond_chance(point) and point.time_unix_s - start_s >= ONE_FLIGHT_S:
+            assert point.drift_deg is not None
+            yield Move(start_s, point.time_unix_s, point.drift_deg, tuple(_between(old, new, rows)))
+
+
+def _between(old: Row, new: Row, rows: Sequence[Row]) -> Iterator[str]:
+    """Say what came between two recordings that may have to do with a vehicle's iron."""
+    if new.get("firmware") != old.get("firmware") and new.get("firmware") and old.get("firmware"):
+        yield f"firmware {old['firmware']} became {new['firmware']}"
+    in_force = [[row.get(f"in_force_offset_{axis}_mgauss") for axis in _AXES] for row in (old, new)]
+    if in_force[0] != in_force[1]:
+        yield "it was calibrated"
+    if new.get("accelerometer") != old.get("accelerometer"):
+        yield "the accelerometer was calibrated"
+    start_s, end_s = old["recorded_unix_s"], new["recorded_unix_s"]
+    # What happened while the new one was recorded is not yet between them.
+    then = [row for row in rows if start_s <= (row.get("recorded_unix_s") or -math.inf) < end_s]
+    yield from dict.fromkeys(f'"{row["events"]}"' for row in then if row.get("events"))
 
 
 def _point(row: Row, first: Row) -> Point:
@@ -309,6 +362,17 @@ def in_words(span_s: float) -> str:
     return counted(max(round(span_s / unit_s), 1), unit)
 
 
+def _day(unix_s: float) -> str:
+    return datetime.fromtimestamp(unix_s, UTC).date().isoformat()
+
+
+def _is_beyond_chance(point: Point) -> bool:
+    """Tell whether a calibration moved by what is worth a person's time, and not by chance."""
+    if point.drift_deg is None or point.sigma_deg is None:
+        return False
+    return point.drift_deg >= max(NOTABLE_DEG, NOTABLE_SIGMAS * point.sigma_deg)
+
+
 def _measure(point: Point) -> float | None:
     return point.off_deg if point.drift_deg is None else point.drift_deg
 
@@ -317,14 +381,22 @@ def _reasons(history: History, diagnosed: bool) -> list[tuple[float, str]]:
     """Say what is notable in a compass's history, with how many degrees it is about."""
     out = []
     last, which = history.points[-1], f"compass {history.compass}"
-    if last.off_deg is not None and last.off_deg >= NOTABLE_DEG and not last.is_noise:
+    flight = [p for p in history.points if last.time_unix_s - p.time_unix_s < ONE_FLIGHT_S]
+    off_deg = max((p.off_deg for p in flight if p.off_deg is not None and not p.is_noise), default=0.0)
+    if off_deg >= NOTABLE_DEG:
         # A diagnosis has the sensor's own gap, whatever the calibration in force makes of it.
         off = "the simulation's heading is {:.1f}° away" if diagnosed else "heading off by {:.1f}°"
-        out.append((last.off_deg, f"{which}: {off.format(last.off_deg)} in its last recording"))
-    if last.drift_deg is not None and last.sigma_deg is not None and last.drift_deg >= NOTABLE_DEG:
-        if last.drift_deg >= NOTABLE_SIGMAS * last.sigma_deg:
-            span_s = last.time_unix_s - history.points[0].time_unix_s
-            moved = f"its calibration moved by {last.drift_deg:.1f}° in {in_words(span_s)}"
-            apart = f"recordings of the same hour differ by {last.drift_deg:.1f}°"
-            out.append((last.drift_deg, f"{which}: {moved if span_s >= ONE_FLIGHT_S else apart}"))
+        when = "recording" if len(flight) == 1 else f"hour ({counted(len(flight), 'recording')})"
+        out.append((off_deg, f"{which}: {off.format(off_deg)} in its last {when}"))
+    for move in history.moves:
+        beside = f" ({'; '.join(move.beside)})" if move.beside else ""
+        days = [_day(moment) for moment in (move.before_unix_s, move.after_unix_s)]
+        when = f"on {days[1]}" if days[0] == days[1] else f"between {days[0]} and {days[1]}"
+        out.append((move.deg, f"{which}: its calibration moved by {move.deg:.1f}° {when}{beside}"))
+    if not history.moves and _is_beyond_chance(last):
+        assert last.drift_deg is not None
+        span_s = last.time_unix_s - history.points[0].time_unix_s
+        moved = f"its calibration moved by {last.drift_deg:.1f}° in {in_words(span_s)}"
+        apart = f"recordings of the same hour differ by {last.drift_deg:.1f}°"
+        out.append((last.drift_deg, f"{which}: {moved if span_s >= ONE_FLIGHT_S else apart}"))
     return out

@@ -34,7 +34,8 @@ def write_fleet_report(summary: Summary, facts: Mapping[str, str], path: Path) -
         "notable_deg": NOTABLE_DEG,
         "first": [(v, "/".join(Path(v.last_recording).parts[-2:])) for v in summary.look_first[:_MOST_FIRST]],
         "effects": effects,
-        "vehicles": [(v, _last_off_deg(v), _rate(v)) for v in summary.vehicles[:_MOST_VEHICLES]],
+        "vehicles": [(v, _last_off_deg(v), _rate(v), _health(v)) for v in summary.vehicles[:_MOST_VEHICLES]],
+        "healthy": any(map(_health, summary.vehicles)),
         "drifts": [(v, drift_figure(v, summary.work == "calibrate")) for v in drifting[:_MOST_DRIFTS]],
         "drifting": len(drifting),
         "errors": summary.errors[:_MOST_ERRORS],
@@ -92,6 +93,10 @@ def _curve(
 def _last_off_deg(vehicle: Vehicle) -> float | None:
     lasts = [h.points[-1].off_deg for h in vehicle.histories]
     return max((value for value in lasts if value is not None), default=None)
+
+
+def _health(vehicle: Vehicle) -> list[str]:
+    return [f"{h.compass}: {said}" for h in vehicle.histories if (said := h.health)]
 
 
 def _rate(vehicle: Vehicle) -> float | None:

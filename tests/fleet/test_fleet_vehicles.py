@@ -124,6 +124,26 @@ def test_what_is_the_recordings_own_noise_is_no_reason_to_look(verdict: str, is_
     assert bool(summary.look_first) is is_notable
 
 
+def calibrated(recording: str, day: float, x_mgauss: float, **more: object) -> Row:
+    corrected = dict.fromkeys([f"off_diagonal_{pair}" for pair in ("xy", "xz", "yz")], 0.0)
+    corrected |= {f"diagonal_{side}": 1.0 for side in SIDES} | {"scale": 1.0, "offset_x_mgauss": x_mgauss}
+    corrected |= {"offset_y_mgauss": 0.0, "offset_z_mgauss": 0.0, "heading_sigma_deg": 0.3}
+    field = {"field_horizontal_mgauss": 200.0, "field_vertical_mgauss": 400.0, "heading_change_deg": 0.0}
+    return row(recording, day, "one", **{"accepted": True} | corrected | field | more)
+
+
+def test_iron_that_moved_is_dated_and_told_with_what_came_between() -> None:
+    """20 mG across 200 bend a heading by up to 5.7 degrees, over the circle by 4.1."""
+    crash = {"status": "not_accepted", "accepted": False, "events": "Crash: Disarming"}
+    rows = [calibrated(name, day, 0.5 * day, firmware="V4.5.7") for name, day in (("a", 0), ("b", 1))]
+    rows += [row("c", 2, "one", **crash)]
+    rows += [calibrated(name, day, 20.0, firmware="V4.6.3") for name, day in (("d", 3), ("e", 40))]
+    (vehicle,) = summarise(rows, "calibrate").vehicles
+    between = 'between 1970-01-02 and 1970-01-04 (firmware V4.5.7 became V4.6.3; "Crash: Disarming")'
+    assert vehicle.why == (f"compass 1: its calibration moved by 4.0° {between}",)
+    assert vehicle.histories[0].health == "moved by 4.0° until 1970-01-04, steady for 37 days"
+
+
 def slow_or_examine(job: Job, path: str) -> list[Row]:
     """Examine, but a recording called slow only once it was noticed."""
     while Path(path).stem == "slow" and not Path(path).with_name("noticed").exists():

@@ -50,6 +50,19 @@ def test_a_log_whose_start_time_looks_like_a_frame_is_still_a_ulog(tmp_path: Pat
     assert len(read_track(log.write(tmp_path / "a")).compasses[1].reported) == 5
 
 
+@pytest.mark.parametrize(
+    ("recording", "said"),
+    [
+        ("ardupilot-4.6.3/rover_dist.BIN", "ArduRover V4.6.3 (3fc7011a)"),
+        ("ardupilot-4.6.3/rover_dist.tlog", "Arm: Check mag field (xy diff:106>100)"),
+        ("px4-1.16/copter_four_positions.ulg", "PX4 1.16.0"),
+    ],
+)
+def test_what_the_autopilot_said_is_kept_each_once(shared_data: Path, recording: str, said: str) -> None:
+    texts = read_track(shared_data / recording).texts
+    assert texts[0] == said and len(set(texts)) == len(texts)
+
+
 def test_names_may_be_strings(tmp_path: Path) -> None:
     path = Recording().fly(1.0).write(tmp_path / "a.tlog")
     assert list(read_tracks(str(path))) == [1]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from mavcompass.credible import incredible
 from mavcompass.frames import FloatArray
+from mavcompass.printable import printable
 from mavcompass.track import Series
 
 # SERVOn_FUNCTION: motors 1 to 8 and 9 to 12, throttle, throttle left and right.
 _MOTOR_FUNCTIONS = (*range(33, 41), *range(82, 86), 70, 73, 74)
 _LOWEST_US, _HIGHEST_US = 1000.0, 2000.0
+_MOST_TEXTS = 1000  # an hour of flight has some fifty
 
 
 def finite_series(time_s: FloatArray, values: FloatArray) -> Series | None:
@@ -117,3 +120,9 @@ def _fraction(pulse_us: NDArray[np.generic], number: int, parameters: Mapping[st
     if parameters.get(f"SERVO{number}_REVERSED", 0.0):
         fraction = 1.0 - fraction
     return np.where(pulses > 0.0, fraction, 0.0)
+
+
+def texts_said(texts: Iterable[bytes]) -> tuple[str, ...]:
+    """Return what an autopilot said, fit to be printed, each text once, the earliest first."""
+    spelt = (printable(text.rstrip(b"\0").decode("ascii", "replace").strip()) for text in texts)
+    return tuple(islice(dict.fromkeys(filter(None, spelt)), _MOST_TEXTS))

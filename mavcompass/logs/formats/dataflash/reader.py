@@ -14,7 +14,7 @@ from mavcompass.errors import BadRecording, NoMagnetometer
 from mavcompass.logs.common.boot_clock import BootClock
 from mavcompass.logs.common.chunks import damage
 from mavcompass.logs.common.parameter_steps import Change, Seen, ardupilot_steps, changes, unknown_correction
-from mavcompass.logs.common.samples import spoken
+from mavcompass.logs.common.samples import spoken, texts_said
 from mavcompass.logs.formats.dataflash.clock import boot_time_s, clock_of, leave_out_impossible_times
 from mavcompass.logs.formats.dataflash.columns import columns, take
 from mavcompass.logs.formats.dataflash.records import DataFlashContents, Log, Records, read_records
@@ -91,13 +91,15 @@ def read_dataflash(path: Path, *, text: bool = False) -> Track:
             parameters,
         )
     measured: dict[str, Any] = dict(columns(logs, clock, parameters))
+    texts = _texts(logs)
     return Track(
         source=str(path),
         autopilot="ardupilot",
-        vehicle=_vehicle(logs, parameters.get("FRAME_CLASS")),
+        vehicle=_vehicle(texts, parameters.get("FRAME_CLASS")),
         compasses=compasses,
         utc_offset_s=clock.utc_offset_s(),
         parameters=parameters,
+        texts=texts,
         notes=tuple(notes),
         **measured,
     )
@@ -152,15 +154,16 @@ def _compasses(
     return dict(sorted(out.items())), notes
 
 
-def _vehicle(logs: Sequence[Log], frame_class: float | None) -> str:
-    for log in logs:
-        records = log.records.get("MSG")
-        if records is None or "Message" not in records:
-            continue
-        for message in records.rows["Message"].tolist():
-            for firmware, vehicle in _FIRMWARES:
-                if message.startswith((f"Ardu{firmware}".encode(), f"APM{firmware}".encode())):
-                    return "boat" if vehicle == "rover" and frame_class == _BOAT else vehicle
+def _texts(logs: Sequence[Log]) -> tuple[str, ...]:
+    found = [log.records["MSG"] for log in logs if "MSG" in log.records]
+    return texts_said(text for one in found if "Message" in one for text in one.rows["Message"].tolist())
+
+
+def _vehicle(texts: Sequence[str], frame_class: float | None) -> str:
+    for text in texts:
+        for firmware, vehicle in _FIRMWARES:
+            if text.startswith((f"Ardu{firmware}", f"APM{firmware}")):
+                return "boat" if vehicle == "rover" and frame_class == _BOAT else vehicle
     return "unknown"
 
 

@@ -16,6 +16,7 @@ from mavcompass.kinds import AUTOPILOTS, VEHICLES
 from mavcompass.logs.common.boot_clock import BootClock
 from mavcompass.logs.common.chunks import damage
 from mavcompass.logs.common.parameter_steps import Change, Seen, changes, unknown_correction
+from mavcompass.logs.common.samples import texts_said
 from mavcompass.logs.formats.tlog.clock import Placer, in_turns, keep_one_vehicle
 from mavcompass.logs.formats.tlog.columns import HIGHRES, body_columns, columns, compass_of, spokesmen
 from mavcompass.logs.formats.tlog.messages import Messages, Sender, TlogContents, read_messages
@@ -40,6 +41,7 @@ def track_of(messages: dict[str, Messages], source: str, notes: tuple[str, ...])
     if shared:
         notes = (*notes, _SHARED)
     autopilot, vehicle = _identity(messages.pop("HEARTBEAT", None))
+    heard = messages.pop("STATUSTEXT", None)
     utc_offset_s = _utc_offset(messages.get("SYSTEM_TIME"), clock)
     history = changes(parameters_seen(messages, clock, autopilot), clock.start_s.tolist())
     parameters = {change.name: change.value for change in history}
@@ -57,6 +59,7 @@ def track_of(messages: dict[str, Messages], source: str, notes: tuple[str, ...])
         gyro_truncation_radps=RADPS_PER_MILLIRADPS if cut else 0.0,
         utc_offset_s=utc_offset_s,
         parameters=parameters,
+        texts=() if heard is None else texts_said(heard.rows.text.tolist()),
         notes=(*notes, *_notes_about_time(clock, placer), *notes_about_compasses),
         **measured,
     )
@@ -189,6 +192,7 @@ WANTED: dict[str, tuple[str, ...]] = {
     "SERVO_OUTPUT_RAW": ("port", *(f"servo{n}_raw" for n in range(1, 9))),
     "SIMSTATE": ("roll", "pitch", "yaw"),
     "PARAM_VALUE": ("param_id", "param_value", "param_type", "param_index"),
+    "STATUSTEXT": ("text",),
     "SENSOR_OFFSETS": ("mag_ofs_x", "mag_ofs_y", "mag_ofs_z"),
 }
 MAGNETOMETER_MESSAGES = ("RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3", "HIGHRES_IMU")

@@ -37,6 +37,7 @@ _TYPES = {
 _NUMBER, _STAMP = Struct("<BH"), Struct("<Q")
 _VALUES = {"int32_t": Struct("<i"), "float": Struct("<f")}
 _MICRO = 1.0e-6
+_TEXT_AT = 9  # after severity and time
 
 Fields = list[tuple[str, str]]  # name, numpy type
 
@@ -78,12 +79,14 @@ class ULogContents:
 
     Attributes:
         topics: those wanted that have samples. parameters: as seen, in the file's order.
+        texts: the firmware's release, and what the log says in words.
         messages: how many were read. dropouts_ms: what the logger says it lost, each.
         skipped_bytes, skipped_stretches: what was no message, and in how many places.
     """
 
     topics: list[Topic] = field(default_factory=list)
     parameters: list[Seen] = field(default_factory=list)
+    texts: list[bytes] = field(default_factory=list)
     messages: int = 0
     dropouts_ms: list[int] = field(default_factory=list)
     skipped_bytes: int = 0
@@ -244,6 +247,14 @@ class _Reader:
         time_s = self._latest_us * _MICRO if announced else 0.0
         self._contents.parameters.append(Seen(time_s, name, float(value), announced=announced))
 
+    def _information(self, body: bytes) -> None:
+        if body[1 : 1 + body[0]] == b"uint32_t ver_sw_release":
+            major, minor, patch = body[:-5:-1][:3]
+            self._contents.texts.append(b"PX4 %d.%d.%d" % (major, minor, patch))
+
+    def _text(self, body: bytes) -> None:
+        self._contents.texts.append(body[_TEXT_AT:])
+
     def _dropout(self, body: bytes) -> None:
         self._contents.dropouts_ms.append(int.from_bytes(body[:2], "little"))
 
@@ -266,6 +277,8 @@ _TAKERS = {
     ord("A"): _Reader._add_logged,
     ord("P"): _Reader._parameter,
     ord("O"): _Reader._dropout,
+    ord("I"): _Reader._information,
+    ord("L"): _Reader._text,
 }
 
 

@@ -14,7 +14,7 @@ from mavcompass.frames import FloatArray, wrap_pi
 from mavcompass.kinds import VEHICLES
 from mavcompass.logs.common.chunks import damage
 from mavcompass.logs.common.parameter_steps import changes
-from mavcompass.logs.common.samples import finite_series, motor_outputs
+from mavcompass.logs.common.samples import finite_series, motor_outputs, texts_said
 from mavcompass.logs.formats.ulog.compasses import MAG_TOPICS, compasses
 from mavcompass.logs.formats.ulog.messages import Topic, ULogContents, indexed, read_messages
 from mavcompass.track import Series, Track
@@ -71,6 +71,7 @@ def read_ulog(path: Path) -> Track:
         compasses=found,
         utc_offset_s=_utc_offset_s(topics),
         parameters=parameters,
+        texts=texts_said(contents.texts),
         notes=(*_notes_about_the_file(contents), *notes),
         **measured,
     )
