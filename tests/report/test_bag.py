@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from collections import defaultdict
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -69,6 +72,20 @@ def test_headings_are_azimuths_in_degrees_clockwise_with_their_variance(track: T
     )
     assert {(m.unit, m.orientation, m.reference) for m in told} == {(1, 1, 0)}
     assert {m.reference for m in read_by_its_own_definitions(written)["/compass_1/true"]} == {1}
+
+
+def test_the_layouts_name_what_is_in_the_file(written: Path) -> None:
+    layouts = Path(__file__).parents[2] / "params" / "layouts"
+    panels = json.loads((layouts / "foxglove.json").read_text())["configById"].values()
+    wanted = {path["value"].replace(".", "/") for panel in panels for path in panel.get("paths", ())}
+    assert wanted == {
+        curve.get("name") for curve in ElementTree.parse(layouts / "plotjuggler.xml").iter("curve")
+    }
+    told = read_by_its_own_definitions(written)
+    for name in wanted:
+        _, compass, topic, *fields = name.split("/")
+        assert isinstance(reduce(getattr, fields, told[f"/{compass}/{topic}"][0]), float)
+    assert [panel["topicToRender"] for panel in panels if "topicToRender" in panel] == ["/diagnostics"]
 
 
 def test_the_residual_is_what_the_iron_does_to_strength_and_dip(written: Path) -> None:
