@@ -17,8 +17,8 @@ LINES = {
     "package procedure": (6_320, 4_400),
     "package service": (5_300, 4_100),
     "package logs": (4_480, 3_600),
-    "package cli": (4_050, 2_900),
-    "package": (66_490, 46_500),
+    "package cli": (4_060, 2_900),
+    "package": (66_500, 46_500),
     "tests": (43_660, 29_000),
     "scripts": (8_630, 4_400),
 }

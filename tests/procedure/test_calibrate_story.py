@@ -66,14 +66,14 @@ def test_the_story_of_a_calibration(tmp_path: Path) -> None:
         ("turn", 0.5, "Turning to position 4 of 4."),
         ("dwell", 0.6, "Position 4 of 4"),
         ("solve", 0.8, "Compass 1"),
-        ("write", None, "Setting 2 parameters for a while; if they stay"),
+        ("write", None, "Setting EK3_YAW_M_NSE and EK3_GBIAS_P_NSE for a while; if they stay"),
         ("write", None, "Writing 9 parameters; to undo"),
         ("written", 0.9, "Written and read back."),
         ("heading", None, "The autopilot was # deg off; it now uses the new heading."),
         ("prove", None, "Turning once more to check the new values."),
         ("prove", 0.95, "Checked by a turn"),
-        ("undo", None, f"{back} Putting 2 parameters back."),
-        ("undo", None, "2 parameters read back as before."),
+        ("undo", None, f"{back} Putting EK3_YAW_M_NSE and EK3_GBIAS_P_NSE back."),
+        ("undo", None, "EK3_YAW_M_NSE and EK3_GBIAS_P_NSE read back as before."),
         *[("heading", None, f"All is written; {follows.format(left_s)}") for left_s in (115, 114, 113)],
     ]
     # What it wants to hear, where it was not as fast already; at the end each is as it was.

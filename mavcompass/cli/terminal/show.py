@@ -38,13 +38,14 @@ def _has(show: Show, name: str) -> bool:
 class PlainShow:
     """Print one line per step on standard error; the same step twice in a row only once.
 
-    Prompts that change all the time ("Turn right 34 deg more.") are printed once a second.
+    Prompts that change all the time ("Turn right 34 deg more.") are printed once a second, the first of a
+    step at once.
     """
 
     def __init__(self, told_later: Container[str] = (), quiet: bool = False) -> None:
         self._told_later = told_later
         self._quiet = quiet
-        self._last = ""
+        self._last: Show | None = None
         self._prompted_s = -math.inf
 
     def ask(self, question: Ask) -> Callable[[], bool | None]:
@@ -54,14 +55,14 @@ class PlainShow:
     def __call__(self, show: Show) -> None:
         """Print a line."""
         later = show.step in self._told_later and show.fraction is not None
-        if self._quiet or later or show.text == self._last:
+        last, self._last = self._last, show
+        if self._quiet or later or (last is not None and show.text == last.text):
             return
         if _has(show, "live"):
             now_s = time.monotonic()
-            if now_s - self._prompted_s < _PROMPT_EVERY_S:
+            if last is not None and show.step == last.step and now_s - self._prompted_s < _PROMPT_EVERY_S:
                 return
             self._prompted_s = now_s
-        self._last = show.text
         print(printable(show.text), file=sys.stderr, flush=True)
 
 

@@ -12,13 +12,13 @@ back and proves that as well. Where even this fails, `WriteFailed` carries the c
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from mavcompass.errors import MavCompassError, Refused, WriteFailed
 from mavcompass.installation.invocation import consent, program
-from mavcompass.printable import counted
+from mavcompass.printable import counted, named
 from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.script import Context, Script, nothing
@@ -28,6 +28,8 @@ from mavcompass.vehicle.parameters.values import Encoding, Parameter, holds, is_
 
 # After a stop a script has `script.CLEAN_UP_S` to put things back; a silent vehicle is given up before.
 _UNDO_SILENCE_S = 5.0
+# So many parameters at most are called by their names.
+_FEW = 3
 
 Commit = Callable[[Context, ParameterPlan], Script[tuple[str, ...]]]
 
@@ -64,7 +66,7 @@ class Transaction:
         undo_file = save_undo(plan, {name: p.value for name, p in old.items()}, vehicle)
         way_back = WayBack(self.encoding, self.source, old, undo_file)
         command = restore_command(self.source, undo_file, context.system)
-        count = counted(len(new), "parameter")
+        count = _called(new)
         doing = f"Setting {count} for a while; if they stay" if plan.for_now else f"Writing {count}; to undo"
         context.show("write", f"{doing}: {command}")
         try:
@@ -77,8 +79,7 @@ class Transaction:
             yield from way_back.take(context, why)
             if isinstance(why, MavCompassError) and not isinstance(why, Refused):
                 raise WriteFailed(
-                    f"{why.what} What was written was put back, and"
-                    f" {counted(len(old), 'parameter')} read back as before.",
+                    f"{why.what} What was written was put back, and {_called(old)} read back as before.",
                     why.remedy,
                     undo_file,
                 ) from why
@@ -136,7 +137,7 @@ class WayBack:
         Raises WriteFailed where that fails.
         """
         stopped: Refused | None = None
-        context.show("undo", f"{_sentence(why)} Putting {counted(len(self.old), 'parameter')} back.")
+        context.show("undo", f"{_sentence(why)} Putting {_called(self.old)} back.")
         back = {name: self.old[name] for name in reversed(list(self.old))}
         while True:
             try:
@@ -151,7 +152,7 @@ class WayBack:
                 left = self.left(context, f"{_sentence(why)} Then: {trouble.what}")
                 context.show("undo", str(left))  # whatever becomes of the error on its way out
                 raise left from trouble
-            context.show("undo", f"{counted(len(self.old), 'parameter')} read back as before.")
+            context.show("undo", f"{_called(self.old)} read back as before.")
             return stopped
 
     def left(self, context: Context, why: str) -> WriteFailed:
@@ -193,6 +194,12 @@ def again_command(source: str, undo_file: Path, system: int) -> str:
 def _spelt(verb: str, source: str, file: Path, system: int) -> str:
     what = f"{shlex.quote(source)} {shlex.quote(str(file))} --system {system}{consent()}"
     return f"{program()} params {verb} {what}"
+
+
+def _called(parameters: Collection[str]) -> str:
+    """Name a few parameters, count many."""
+    few = len(parameters) <= _FEW
+    return named(list(parameters)) if few else counted(len(parameters), "parameter")
 
 
 def _sentence(error: Exception) -> str:
