@@ -47,7 +47,7 @@ def calibrate(
     Args:
         track: or the path of a recording.
         method: auto (what the recording can bear), four-positions, four-positions-textbook, min-max,
-            sensitivity-bias, sphere, ellipsoid, world-field or one-point.
+            sensitivity-bias, sphere, ellipsoid, world-field, touch-up or one-point.
         instance: which compass, from 1.
         max_heading_error_deg: what is accepted at most.
         true_heading_rad, true_heading_sigma_rad: for one-point, where the vehicle stands; without it a second

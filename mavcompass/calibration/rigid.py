@@ -23,6 +23,7 @@ from mavcompass.calibration.model import (
     VERTICAL,
     gain_jacobian,
     gain_matrix,
+    gain_parameters,
 )
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
@@ -39,6 +40,10 @@ _STEPS = 40
 _DAMPING, _FIRST_DAMPING, _MOST_DAMPING = 1e-12, 1e-3, 1e3
 # A step of this many sigmas, or one that lowers the cost by this share, settles nothing more.
 _SETTLED_SIGMAS, _SETTLED_SHARE = 1e-5, 1e-8
+# Limits are taken for two sigmas. Gains that nobody has measured: MAGFit keeps diagonals within 0.8 to 1.2.
+_GAIN_SIGMA = 0.1
+# Gains in force: ArduPilot keeps a calibration that leaves 16 mG rms at most of a field of some 500 mG.
+_IN_FORCE_SIGMA = 0.016
 # Before the data: most compasses away from steel have no cross terms that matter.
 CROSS_TERMS_BEFORE = 0.25
 
@@ -66,6 +71,18 @@ class IronPrior:
     motor_sigma_mgauss_per_a: float = 0.5
     vertical_offset_sigma_mgauss: float = 100.0
     gains: tuple[float, ...] = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
+
+    @property
+    def fewest_positions(self) -> int:
+        """Return how many positions tell offset and field: two where the gains are known before."""
+        return 2 if self.gain_sigma <= _GAIN_SIGMA else 3
+
+    def of(self, in_force: FieldCorrection) -> IronPrior:
+        """Take the gains that a calibration in force has, if it has any, for better known than others."""
+        gains = gain_parameters(in_force.inverse)
+        if not any(in_force.offsets_mgauss) or np.allclose(gains, self.gains, atol=1e-6):
+            return replace(self, gain_sigma=_GAIN_SIGMA)
+        return replace(self, gains=tuple(gains), gain_sigma=_IN_FORCE_SIGMA, cross_sigma=_IN_FORCE_SIGMA)
 
 
 DEFAULT_PRIOR = IronPrior()

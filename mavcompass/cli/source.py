@@ -95,7 +95,8 @@ method_option = click.option(
     default="auto",
     show_default=True,
     help="How the readings are solved (auto: four positions; in a recording without them, its motion;"
-    " autopilot: its own calibration, judged; one-point: offsets by --true-heading).",
+    " autopilot: its own calibration, judged; one-point: offsets by --true-heading; touch-up: offsets by a"
+    " quarter turn, scales as they are).",
 )
 max_error_option = click.option(
     "--max-error-deg",

@@ -167,7 +167,7 @@ class _Calibration:
             while self.wants_more(report, mover):
                 report = self.solve((yield from self.visit(mover, report.windows)))
             for result in report.results:
-                desk.context.show("solve", summary(result), settings.positions / (settings.positions + 1.0))
+                desk.context.show("solve", summary(result), settings.planned / (settings.planned + 1.0))
             report = yield from self.as_mounted(report)
             mover.halt(desk.context)  # nothing is asked of the vehicle while values are written
             self.own.found(report.results, [(w.start_s, w.end_s) for w in report.windows])
@@ -231,15 +231,13 @@ class _Calibration:
         Solving takes a small computer seconds, in which nothing is sent: no vehicle may depend on that.
         """
         desk, settings = self.desk, self.settings
-        alone = settings.stands or settings.by_autopilot
-        count, step_rad = 1 if alone else settings.positions, settings.step_rad
         windows = yield from visit(
             desk.context,
             desk.rest,
             desk.gyro,
             mover,
-            count,
-            step_rad,
+            settings.planned,
+            settings.step_rad,
             settings.dwell,
             seen,
             self.own.keep_up,
@@ -309,12 +307,13 @@ class _Calibration:
 
     def wants_more(self, report: CalibrationReport, mover: Mover) -> bool:
         """Tell whether further positions are worth their time: a person is not asked for them."""
-        if not mover.by_itself or len(report.windows) >= self.settings.most_positions:
+        settings = self.settings
+        if not mover.by_itself or settings.touches_up or len(report.windows) >= settings.most_positions:
             return False
         # One that is mounted turned is as sure as it will be once that is set right.
         as_mounted = (result.mounting.mended or result for result in report.results)
         worst_deg = max(result.repeatable_sigma_deg for result in as_mounted)
-        if worst_deg <= self.settings.enough_deg:
+        if worst_deg <= settings.enough_deg:
             return False
         self.desk.context.show("turn", f"Heading within {worst_deg:.1f} deg so far: one more position.")
         return True

@@ -65,6 +65,16 @@ class CalibrateSettings:
         return self.method == "one-point"
 
     @property
+    def planned(self) -> int:
+        """Return at how many positions it stands at first: by a quarter turn where the scales are kept."""
+        return 1 if self.stands or self.by_autopilot else 2 if self.touches_up else self.positions
+
+    @property
+    def touches_up(self) -> bool:
+        """Tell whether the scales of the calibration in force are kept."""
+        return self.method == "touch-up"
+
+    @property
     def moved_by(self) -> Motion:
         """Tell who turns the vehicle, where the method leaves no choice."""
         return "none" if self.stands else "hand" if self.by_autopilot else self.motion

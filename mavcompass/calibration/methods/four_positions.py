@@ -48,7 +48,7 @@ def witnessed(result: CalibrationResult, motion: Motion | None) -> CalibrationRe
 def _observed(recorded: Recorded) -> FourPositionData:
     track, instance = recorded.track, recorded.instance
     if recorded.windows is None:
-        return observe(track, instance)
+        return observe(track, instance, fewest=recorded.prior.fewest_positions)
     record = turn_record(track, instance)
     dwells = [dwell_between(track, instance, start, end, record) for start, end in recorded.windows]
     return assemble(track, dwells, instance, record)

@@ -17,7 +17,6 @@ from dataclasses import replace
 import numpy as np
 
 from mavcompass.calibration.methods.four_positions import witnessed
-from mavcompass.calibration.model import gain_parameters
 from mavcompass.calibration.motion.observed import motion_or_none
 from mavcompass.calibration.observation import (
     Dwell,
@@ -30,16 +29,10 @@ from mavcompass.calibration.observation import (
 from mavcompass.calibration.positions.verdict import calibrate_positions
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult, TrueHeading
-from mavcompass.calibration.rigid import IronPrior
-from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration, UsageError
 from mavcompass.frames import circular_mean, wrap_pi
 from mavcompass.track import Track
 
-# Of gains that nobody has measured: MAGFit keeps diagonals within 0.8 to 1.2, taken for two sigmas.
-_GAIN_SIGMA = 0.1
-# Of gains in force: ArduPilot keeps a calibration that leaves 16 mG rms of a field of some 500 mG.
-_IN_FORCE_SIGMA = 0.03
 # Antennas as they are aligned with the nose.
 _ANTENNA_RAD = math.radians(1.5)
 # So near each other two stretches stand at one heading, and so near a recorded one may be to the one given.
@@ -67,19 +60,11 @@ def calibrate(recorded: Recorded) -> CalibrationResult:
     sigma_rad = math.hypot(true.sigma_rad, earth.declination_sigma_rad, site_rad)
     first = (true.heading_rad - earth.declination_rad, sigma_rad)
     data = replace(assemble(track, dwells, instance, record), first_heading=first)
-    prior = _gains_as_known(recorded.prior, recorded.in_force)
+    prior = recorded.prior.of(recorded.in_force)
     result = calibrate_positions(data, recorded.in_force, earth, instance, recorded.limits, prior)
     said = _about(result, first[0], recorded.limits.heading_deg)
     result = replace(result, method="one-point", true_heading=true, warnings=(said, *result.warnings))
     return witnessed(result, None if recorded.windows is not None else motion_or_none(recorded))
-
-
-def _gains_as_known(prior: IronPrior, in_force: FieldCorrection) -> IronPrior:
-    """Take the gains that a calibration in force has, if it has any, for better known than others."""
-    gains = gain_parameters(in_force.inverse)
-    if not any(in_force.offsets_mgauss) or np.allclose(gains, prior.gains, atol=1e-6):
-        return replace(prior, gain_sigma=_GAIN_SIGMA)
-    return replace(prior, gains=tuple(gains), gain_sigma=_IN_FORCE_SIGMA, cross_sigma=_IN_FORCE_SIGMA)
 
 
 def _about(result: CalibrationResult, magnetic_rad: float, limit_deg: float) -> str:

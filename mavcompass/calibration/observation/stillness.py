@@ -190,15 +190,17 @@ def turns_between(
     return steps
 
 
-def observe(track: Track, instance: int = 1, turn: TurnRecord | None = None) -> FourPositionData:
-    """Find the dwells of a recording and measure the turns between them.
+def observe(
+    track: Track, instance: int = 1, turn: TurnRecord | None = None, fewest: int = 3
+) -> FourPositionData:
+    """Find the dwells of a recording, `fewest` of them wanted, and measure the turns between them.
 
     Raises PoorCalibration where the recording has no gyro or hardly turns, KeyError for an unknown compass.
     """
     record = turn or require_turn(track, instance)
     dwells = find_dwells(track, instance, record)
     turned = math.degrees(float(np.ptp(record.angle_rad)))
-    if len(dwells) < 3 and turned < 200.0:
+    if len(dwells) < fewest and turned < 200.0:
         raise PoorCalibration(
             f"Too little motion: the vehicle's heading changed by only {turned:.0f} degrees in all.",
             "Turn it on the level in four steps of about 90 degrees and stop after each.",

@@ -20,6 +20,7 @@ from mavcompass.calibration.model import (
 )
 from mavcompass.calibration.observation import FourPositionData, Step
 from mavcompass.calibration.rigid import (
+    DEFAULT_PRIOR,
     IronPrior,
     PriorRows,
     Readings,
@@ -38,6 +39,7 @@ from mavcompass.heading.compute import level_field
 # What no error model names: the sensor's own bends and steps of its converter.
 _FLOOR_MGAUSS = 0.01
 _ROBUST_FROM, _ROUNDS, _STEPS_A_ROUND = 6, 20, 2
+_LEAST_CHANGE = 0.5  # of a reading by the field there: 29 degrees of turning
 _MANY_SIGMAS_3D = 11.34  # chi-square of three, 99 %
 
 
@@ -59,9 +61,9 @@ class PositionProblem:
     ) -> PositionProblem:
         """Prepare the fit: the start by linear least squares, the weights, the prior."""
         dwells = data.dwells
-        if data.first_heading is None and len(dwells) < 3:
+        if data.first_heading is None and len(dwells) < (fewest := prior.fewest_positions):
             raise PoorCalibration(
-                f"Only {len(dwells)} still positions: offset and amplitude need at least three.",
+                f"Only {len(dwells)} still positions: offset and amplitude need at least {fewest}.",
                 "Turn the vehicle in four steps of about 90 degrees and stop after each.",
             )
         mean = np.array([d.mean_mgauss for d in dwells])
@@ -76,11 +78,13 @@ class PositionProblem:
             turned_rad=data.turned_rad,
             step_sigma_rad=np.array([max(s.sigma_rad, 1e-6) for s in data.steps]),
         )
-        if data.first_heading is None or earth is None:
-            start, mirrored = _start(mean, tilts, data.turned_rad, earth, in_force)
-        else:
+        if data.first_heading is not None and earth is not None:
             headings = data.first_heading[0] + data.turned_rad
-            start, mirrored = _start_at(headings, mean, tilts, earth, prior), False
+            start, mirrored = _start_at(headings, mean, tilts, np.array(earth.ned_mgauss), prior), False
+        elif len(dwells) < DEFAULT_PRIOR.fewest_positions:
+            start, mirrored = _start_by_two(mean, tilts, data.turned_rad, earth, in_force, prior), False
+        else:
+            start, mirrored = _start(mean, tilts, data.turned_rad, earth, in_force)
         rules = prior_rows(
             len(dwells),
             prior,
@@ -140,15 +144,46 @@ class PositionProblem:
 
 
 def _start_at(
-    headings: FloatArray, mean: FloatArray, tilts: FloatArray, earth: EarthField, prior: IronPrior
+    headings: FloatArray, mean: FloatArray, tilts: FloatArray, ned_mgauss: FloatArray, prior: IronPrior
 ) -> FloatArray:
     """Take the gains for the prior's: at known headings the offset is what the field there leaves."""
     state = np.zeros(HEADINGS + headings.size)
     state[GAIN], state[HEADINGS:] = prior.gains, headings
-    state[HORIZONTAL], state[VERTICAL] = earth.horizontal_mgauss, earth.ned_mgauss[2]
+    state[HORIZONTAL], state[VERTICAL] = math.hypot(*ned_mgauss[:2]), ned_mgauss[2]
     body = np.einsum("kij,kj->ki", tilts, level_field(headings, state[HORIZONTAL], state[VERTICAL]))
     state[OFFSET] = (mean - body @ gain_matrix(state[GAIN])).mean(axis=0)
     return state
+
+
+def _start_by_two(
+    mean: FloatArray,
+    tilts: FloatArray,
+    turned: FloatArray,
+    earth: EarthField | None,
+    in_force: FieldCorrection,
+    prior: IronPrior,
+) -> FloatArray:
+    """Read the first heading off what a turn changes, by the prior's gains.
+
+    The level field being H exp(-i psi), two readings differ by H exp(-i psi_1) (1 - exp(-i turned)) (P0).
+    """
+    level = np.einsum("kji,kj->ki", tilts, mean @ np.linalg.inv(gain_matrix(prior.gains)).T)
+    change = 1.0 - np.exp(-1j * (turned[-1] - turned[0]))
+    if abs(change) < _LEAST_CHANGE:
+        raise _too_little_turning(turned)
+    first = complex(level[0, 0] - level[-1, 0], level[0, 1] - level[-1, 1]) / change
+    vertical = earth.ned_mgauss[2] if earth is not None else float(in_force.apply(mean).mean(axis=0)[2])
+    horizontal = earth.horizontal_mgauss if earth is not None else abs(first)
+    headings = turned - turned[0] - float(np.angle(first))
+    return _start_at(headings, mean, tilts, np.array([horizontal, 0.0, vertical]), prior)
+
+
+def _too_little_turning(turned: FloatArray) -> PoorCalibration:
+    degrees = math.degrees(float(np.ptp(turned)))
+    return PoorCalibration(
+        f"The positions cover too little of the circle: {degrees:.0f} degrees of turning in all.",
+        "Turn the vehicle in four steps of about 90 degrees and stop after each.",
+    )
 
 
 def _start(
@@ -166,11 +201,7 @@ def _start(
     design = np.stack([np.ones(turned.size), np.cos(turned), np.sin(turned)], axis=1)
     singular = np.linalg.svd(design, compute_uv=False)
     if singular[-1] < 0.12 * math.sqrt(turned.size):
-        degrees = math.degrees(float(np.ptp(turned)))
-        raise PoorCalibration(
-            f"The positions cover too little of the circle: {degrees:.0f} degrees of turning in all.",
-            "Turn the vehicle in four steps of about 90 degrees and stop after each.",
-        )
+        raise _too_little_turning(turned)
     line, *_ = np.linalg.lstsq(design, mean, rcond=None)
     plane = line[1:, :2].T
     amplitude = float(np.sqrt(abs(np.linalg.det(plane))))

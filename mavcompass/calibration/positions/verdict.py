@@ -29,6 +29,8 @@ _WEAKEST_MGAUSS, _STRONGEST_MGAUSS = 15.0, 1.2 * 670.0
 _WIRE_LIMIT_MGAUSS = 32000.0
 _WORLD_MISMATCH = 0.3
 _TURNED_MOUNT = 0.35
+# How much of the circle must be seen, by the fewest positions: of a quarter turn two thirds.
+_COVERED_RAD = {3: math.radians(160.0), 2: math.radians(60.0)}
 
 SOURCE_WORDS = {
     "noise": "noise of the compass (dwell longer)",
@@ -57,7 +59,7 @@ def calibrate_positions(
     Raises PoorCalibration for fewer than three positions, too little turning or a dead compass.
     """
     fit = solve_four_positions(data, in_force, earth, prior)
-    reasons, warnings = judge(data, fit, limits)
+    reasons, warnings = judge(data, fit, limits, prior)
     hidden = unobserved(fit, prior)
     if "offset_z" in hidden and earth is not None:
         warnings = (
@@ -98,19 +100,24 @@ def calibrate_positions(
 
 
 def judge(
-    data: FourPositionData, fit: FourPositionsResult, limits: Limits = DEFAULT_LIMITS
+    data: FourPositionData,
+    fit: FourPositionsResult,
+    limits: Limits = DEFAULT_LIMITS,
+    prior: IronPrior = DEFAULT_PRIOR,
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return what speaks by itself against a four-position fit, and the warnings if it is accepted."""
     if mounted_wrong := _mounting(fit):
         return (mounted_wrong,), ()  # what else seems wrong only follows from that
-    said = list(_found(data, fit, limits))
+    said = list(_found(data, fit, limits, _COVERED_RAD[prior.fewest_positions]))
     return tuple(words for refused, words in said if refused), tuple(words for no, words in said if not no)
 
 
-def _found(data: FourPositionData, fit: FourPositionsResult, limits: Limits) -> Iterator[tuple[bool, str]]:
+def _found(
+    data: FourPositionData, fit: FourPositionsResult, limits: Limits, least_rad: float
+) -> Iterator[tuple[bool, str]]:
     """Yield what is to be said of a fit, and whether it is refused for it."""
     covered = circle_covered_rad(data.turned_rad)
-    if data.first_heading is None and covered < math.radians(160.0):
+    if data.first_heading is None and covered < least_rad:
         words = (
             f"The vehicle turned too little: the positions cover only {covered * DEG_PER_RAD:.0f} degrees of "
             "the circle. Turn it in four steps of about 90 degrees."

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from mavcompass import api
 from mavcompass.calibration import calibrate_track
-from mavcompass.calibration.methods.one_point import _gains_as_known
 from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.positions.verdict import calibrate_positions
 from mavcompass.calibration.result import CalibrationResult, Limits, TrueHeading
@@ -43,7 +42,7 @@ def at(
     data: FourPositionData, magnetic_rad: float, in_force: FieldCorrection = IDENTITY
 ) -> CalibrationResult:
     """Calibrate by one dwell at a heading that is given to a degree."""
-    prior = _gains_as_known(DEFAULT_PRIOR, in_force)
+    prior = DEFAULT_PRIOR.of(in_force)
     known = replace(data, first_heading=(magnetic_rad, math.radians(1.0)))
     return calibrate_positions(known, in_force, FIELD, limits=WIDE, prior=prior)
 

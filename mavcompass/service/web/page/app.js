@@ -84,7 +84,8 @@ function consent(text, agree) {
 }
 
 const method = () => $("method").value;
-const armsFirst = () => method() === "four-positions" && page.vehicle?.armed === false && $("motion").value === "vehicle";
+const TURNS = { "four-positions": "four times by 90°", "touch-up": "by 90°" };
+const armsFirst = () => method() in TURNS && page.vehicle?.armed === false && $("motion").value === "vehicle";
 
 // Of a number that the service would not take the browser says why.
 function numbers(...ids) {
@@ -111,7 +112,7 @@ $("calibrate").addEventListener("click", async () => {
 });
 $("motion").addEventListener("change", showHint);
 $("method").addEventListener("change", () => {
-  for (const label of document.querySelectorAll("[data-for]")) label.hidden = label.dataset.for !== method();
+  for (const label of document.querySelectorAll("[data-for]")) label.hidden = !label.dataset.for.split(" ").includes(method());
   showHint();
 });
 $("check").addEventListener("click", () => begin("/api/check", { turn: $("turn").value }));
@@ -181,10 +182,10 @@ function showHint() {
     ? "Waiting for the vehicle."
     : HINTS[method()] ? HINTS[method()]
     : page.vehicle.armed
-      ? "The vehicle is armed: it turns itself, four times by 90°. Keep clear."
+      ? `The vehicle is armed: it turns itself, ${TURNS[method()]}. Keep clear.`
       : armsFirst()
-        ? "The vehicle is disarmed: you are asked whether it may be armed to turn itself, four times by 90°."
-        : "The vehicle is disarmed: you turn it by hand, four times by 90° (or it does, if armed: Options, Who turns).";
+        ? `The vehicle is disarmed: you are asked whether it may be armed to turn itself, ${TURNS[method()]}.`
+        : `The vehicle is disarmed: you turn it by hand, ${TURNS[method()]} (or it does, if armed: Options, Who turns).`;
 }
 
 // --- what changes quickly -----------------------------------------------------------------------
@@ -214,7 +215,7 @@ function showNow() {
     const trail = page.trail?.task === page.task.id ? page.trail : null;
     $("turned").textContent = `${(now.turned_deg - (trail?.turned ?? now.turned_deg)).toFixed(0)}°`;
     $("still").classList.toggle("on", now.still);
-    const planned = { "four-positions": 4, "one-point": 1 }[page.task.method] ?? 0;
+    const planned = { "four-positions": 4, "touch-up": 2, "one-point": 1 }[page.task.method] ?? 0;
     circle.draw(trail?.compasses[heading.instance], [forward, right], page.world?.horizontal_mgauss ?? null, planned);
   }
 }
