@@ -101,6 +101,7 @@ ROWS = {
         {"work"},
         {"view"},
         {"watch"},
+        {"standing"},
         {"addresses", "config"},
         {"models"},
     ],

@@ -12,14 +12,14 @@ ROOT = Path(__file__).parents[1]
 LINES = {
     "package gap": (14_520, 10_500),
     "package simulation": (7_850, 5_800),
-    "package attitude calibration heading": (9_090, 5_400),
+    "package attitude calibration heading": (9_100, 5_400),
     "package vehicle messages enums.py": (7_690, 5_200),
     "package procedure": (6_330, 4_400),
-    "package service": (5_300, 4_100),
+    "package service": (5_390, 4_100),
     "package logs": (4_480, 3_600),
     "package cli": (4_060, 2_900),
-    "package": (66_580, 46_500),
-    "tests": (43_770, 29_000),
+    "package": (66_680, 46_500),
+    "tests": (43_850, 29_000),
     "scripts": (8_630, 4_400),
 }
 

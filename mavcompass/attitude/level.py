@@ -131,6 +131,11 @@ class Level:
         return self.turned_rad + self.rate_radps * max(min(time_s - self._time_s, 0.5), -0.5)
 
     @property
+    def is_still(self) -> bool:
+        """Tell whether it hardly turns; what seems a gyro's bias, and is none, is a hull that swings."""
+        return abs(self.rate_radps) < _STILL_RADPS and abs(self.bias_radps) < 1.5 * _BIAS_SIGMA_RADPS
+
+    @property
     def roll_rad(self) -> float:
         """Return the roll."""
         return math.atan2(self.down[1], self.down[2])

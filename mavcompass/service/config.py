@@ -135,6 +135,7 @@ class WatchConfig:
         agreement_deg: between two compasses. gyro_deg: heading's change against the gyro's, rms.
         course_deg: heading against the GPS course of a vehicle that drives ahead.
         current_deg: swing of the heading that goes with the battery's current.
+        step_deg: what a change of the field, while the vehicle stands disarmed, may make of the heading.
         age_days: from which a calibration is called old.
     """
 
@@ -144,6 +145,7 @@ class WatchConfig:
     gyro_deg: Annotated[float, Meta(ge=0.2, le=180.0)] = 6.0
     course_deg: Annotated[float, Meta(ge=0.2, le=180.0)] = 12.0
     current_deg: Annotated[float, Meta(ge=0.2, le=180.0)] = 4.0
+    step_deg: Annotated[float, Meta(ge=0.2, le=180.0)] = 1.5
     age_days: Annotated[float, Meta(ge=0.01, le=36500.0)] = 365.0
 
 

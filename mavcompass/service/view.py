@@ -203,6 +203,8 @@ class VehicleView:
             headings={i: c.latest for i, c in self.compasses.items() if c.latest is not None},
             world=self.world,
             rate_radps=self.level.rate_radps,
+            bias_radps=self.level.bias_radps,
+            stands=not self.state.armed and self.level.is_still,
             tilt_sigma_rad=self.level.sigma_rad,
             kind=self.identity.kind,
             course_rad=course_rad,

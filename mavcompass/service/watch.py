@@ -18,6 +18,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.heading.fault_isolation import HeadingSource, isolate_faults
 from mavcompass.heading.live import Heading
 from mavcompass.service.config import WatchConfig
+from mavcompass.service.standing import FieldStep
 
 Severity = Literal["warning", "bad"]
 
@@ -39,7 +40,8 @@ class Finding:
     """Hold one thing that is wrong with a compass in service.
 
     Attributes:
-        id: what was compared: field, dip, agreement, gyro, course, current, age, device, parameters; or link.
+        id: what was compared: field, dip, agreement, gyro, course, current, step, age, device, parameters; or
+            link.
         instance: the compass, 0 for none of them.
         short: at most 50 letters, for STATUSTEXT. text: a sentence. remedy: what to do.
         value, limit: what was measured and what is tolerated, in the unit that the text names.
@@ -61,7 +63,8 @@ class Glance:
 
     Attributes:
         time_s: on the link's clock. headings: the latest of each compass.
-        rate_radps: by the gyro, about the vertical. tilt_sigma_rad: of roll and pitch. kind: of vehicle.
+        rate_radps: by the gyro, about the vertical, less bias_radps. stands: disarmed, and still.
+        tilt_sigma_rad: of roll and pitch. kind: of vehicle.
         course_rad, speed_mps: over ground by GPS; None without a fix. current_a: None where not measured.
     """
 
@@ -69,6 +72,8 @@ class Glance:
     headings: Mapping[int, Heading]
     world: EarthField | None
     rate_radps: float = 0.0
+    bias_radps: float = 0.0
+    stands: bool = False
     tilt_sigma_rad: float = 0.0
     kind: str = "unknown"
     course_rad: float | None = None
@@ -196,6 +201,7 @@ class _CompassRecord:
     course: _Average = field(default_factory=lambda: _Average(20.0))
     gyro: _GyroComparison = field(default_factory=_GyroComparison)
     current: _CurrentCoupling = field(default_factory=_CurrentCoupling)
+    step: FieldStep = field(default_factory=FieldStep)
     latches: dict[str, _Latch] = field(default_factory=dict)
 
     def beyond_level_deg(self, value_deg: float, steepness: float) -> float:
@@ -249,6 +255,8 @@ class CompassWatch:
         first = glance.headings.get(1)
         if first is not None and heading.instance != 1 and glance.time_s - first.time_s < 1.0:
             record.apart.add(_wrap(heading.magnetic_rad - first.magnetic_rad) / _DEG, step_s)
+        still = (glance.rate_radps, glance.bias_radps, glance.stands)
+        record.step.add(heading, *still, step_s, self.limits.step_deg)
         record.gyro.add(heading.magnetic_rad, heading.turned_rad, glance.rate_radps)
         course = glance.course_rad
         if course is not None and heading.true_rad is not None and _drives_straight_ahead(glance):
@@ -300,6 +308,7 @@ class CompassWatch:
             "gyro": (beyond(record.gyro.rms_rad / _DEG, steep), limits.gyro_deg),
             "course": (beyond(course_deg, steep), limits.course_deg),
             "current": (beyond(swing_deg, steep), limits.current_deg),
+            "step": (record.step.off_deg, limits.step_deg),
         }
         findings = []
         for name, (value, limit) in measured.items():
@@ -337,6 +346,11 @@ _WORDS: dict[str, tuple[str, str, str]] = {  # short, sentence, remedy
         "heading {value:+.0f} deg off course",
         "Driving ahead, the GPS course is {size:.0f} deg {side} of compass {i}'s heading.",
         "Check the mounting orientation, then calibrate.",
+    ),
+    "step": (
+        "field changed by {value:.0f} deg, standing",
+        "The field at compass {i} changed while the vehicle stood, by up to {value:.0f} deg of heading.",
+        "If it was put aboard (battery, payload), a quarter turn puts it right: calibrate with touch-up.",
     ),
     "current": (
         "heading swings with current",
