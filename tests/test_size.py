@@ -15,11 +15,11 @@ LINES = {
     "package attitude calibration heading": (9_100, 5_400),
     "package vehicle messages enums.py": (7_690, 5_200),
     "package procedure": (6_330, 4_400),
-    "package service": (5_390, 4_100),
+    "package service": (5_400, 4_100),
     "package logs": (4_480, 3_600),
     "package cli": (4_060, 2_900),
     "package": (66_680, 46_500),
-    "tests": (43_850, 29_000),
+    "tests": (43_870, 29_000),
     "scripts": (8_630, 4_400),
 }
 

@@ -45,6 +45,7 @@ class Finding:
         instance: the compass, 0 for none of them.
         short: at most 50 letters, for STATUSTEXT. text: a sentence. remedy: what to do.
         value, limit: what was measured and what is tolerated, in the unit that the text names.
+        method: of the calibration that puts it right, where one does without more ado.
     """
 
     id: str
@@ -55,6 +56,7 @@ class Finding:
     remedy: str
     value: float = math.nan
     limit: float = math.nan
+    method: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -359,6 +361,7 @@ _WORDS: dict[str, tuple[str, str, str]] = {  # short, sentence, remedy
     ),
 }
 
+_METHODS = {"step": "touch-up"}
 _SIDES = {  # of a positive and of a negative value
     "field": ("stronger", "weaker"),
     "agreement": ("right", "left"),
@@ -371,7 +374,8 @@ def _finding(name: str, instance: int, value: float, limit: float) -> Finding:
     filled_in = {"i": instance, "value": value, "size": abs(value), "side": side}
     short, text, remedy = (words.format(**filled_in) for words in _WORDS[name])
     severity: Severity = "bad" if abs(value) > _BAD_ABOVE * limit else "warning"
-    return Finding(name, instance, severity, f"Compass {instance}: {short}"[:50], text, remedy, value, limit)
+    short, method = f"Compass {instance}: {short}"[:50], _METHODS.get(name, "")
+    return Finding(name, instance, severity, short, text, remedy, value, limit, method)
 
 
 def _drives_straight_ahead(glance: Glance) -> bool:

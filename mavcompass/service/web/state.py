@@ -92,6 +92,7 @@ def finding_json(finding: Finding) -> dict[str, Any]:
         "severity": finding.severity,
         "text": finding.text,
         "remedy": finding.remedy,
+        "method": finding.method or None,
         "value": _number(finding.value),
         "limit": _number(finding.limit),
     }

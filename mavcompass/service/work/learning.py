@@ -225,6 +225,7 @@ def _offer(lesson: Lesson, margin_deg: float) -> Finding:
         "Disarm the vehicle, then have it written.",
         old_deg,
         margin_deg,
+        "running",
     )
 
 

@@ -169,6 +169,23 @@ def test_what_drives_sees_its_course_beside_the_heading_and_its_field_beside_the
     assert page.errors == []
 
 
+def test_what_was_put_aboard_is_told_with_the_quarter_turn_that_puts_it_right(
+    start_service: StartService, open_page: OpenPage
+) -> None:
+    step = "hard_iron_step:x=30,y=20,z=0,on_s=60"
+    link = SimulatedLink.of("rover", seed=6, effects=(step,), by_hand=True, speed=8.0)
+    page = open_page(start_service(link))
+    page.wait(
+        "[...document.querySelectorAll('#findings b')].some(e => /while the vehicle stood/.test(e.innerText))"
+    )
+    look(page, "put-aboard")
+    page.run("document.querySelector('#findings button').click()")  # which is drawn anew all the time
+    page.wait("/Position 1 of 2/.test(document.querySelector('main').innerText)")
+    page.click("#stop")
+    page.wait("/Nothing written/.test(document.querySelector('main').innerText)")
+    assert page.errors == []
+
+
 def test_a_person_is_told_how_to_turn_and_can_stop(start_service: StartService, open_page: OpenPage) -> None:
     link = SimulatedLink.of("rover", seed=5, speed=4.0)
     link.autopilot.disarm()  # type: ignore[attr-defined]

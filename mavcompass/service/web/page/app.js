@@ -233,6 +233,8 @@ function showChoice(headings) {
   }
 }
 
+const CURES = { running: "Write what was learnt", "touch-up": "Put it right by a quarter turn" };
+
 function showFindings(findings) {
   $("findings").hidden = !findings.length;
   // One remedy often cures several findings: it is said once, below them.
@@ -240,9 +242,9 @@ function showFindings(findings) {
   for (const finding of findings) groups.set(finding.remedy, [...(groups.get(finding.remedy) ?? []), finding]);
   $("findings").replaceChildren(...[...groups].map(([remedy, group]) => {
     const css = group.some((f) => f.severity === "bad") ? "finding worst" : "finding";
-    const offered = group.filter((f) => f.id === "learnt").map((f) => f.compass);
-    const take = () => begin("/api/calibration", { method: "running", writing: "ask", compasses: offered });
-    const button = offered.length ? [show.node("button", { text: "Write what was learnt", onclick: take })] : [];
+    const [{ method }] = group, compasses = group.map((f) => f.compass);
+    const take = () => begin("/api/calibration", { method, writing: "ask", compasses });
+    const button = method ? [show.node("button", { text: CURES[method], onclick: take })] : [];
     return show.node("div", { class: css }, ...group.map((f) => show.node("b", { text: f.text })), show.node("span", { text: remedy }), ...button);
   }));
 }
