@@ -82,7 +82,8 @@ class IronPrior:
         gains = gain_parameters(in_force.inverse)
         if not any(in_force.offsets_mgauss) or np.allclose(gains, self.gains, atol=1e-6):
             return replace(self, gain_sigma=_GAIN_SIGMA)
-        return replace(self, gains=tuple(gains), gain_sigma=_IN_FORCE_SIGMA, cross_sigma=_IN_FORCE_SIGMA)
+        known = dict.fromkeys(("gain_sigma", "cross_sigma", "own_cross_sigma"), _IN_FORCE_SIGMA)
+        return replace(self, gains=tuple(gains), **known)
 
 
 DEFAULT_PRIOR = IronPrior()
@@ -319,6 +320,8 @@ def _spike_and_slab(
     state: FloatArray, covariance: FloatArray, shared: FloatArray, index: list[int], prior: IronPrior
 ) -> tuple[float, FloatArray, FloatArray, FloatArray]:
     """Blend a Gaussian with itself under the narrow prior of `state[index]`; P(wide) and the blend."""
+    if prior.own_cross_sigma >= prior.cross_sigma:  # known as a calibration has them: nothing to weigh
+        return 1.0, state, covariance, shared
     narrow2 = 1.0 / (prior.own_cross_sigma**-2.0 - prior.cross_sigma**-2.0)
     block = covariance[np.ix_(index, index)] + narrow2 * np.eye(len(index))
     value = state[index] - np.asarray(prior.gains)[np.array(index) - 3]

