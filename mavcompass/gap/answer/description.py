@@ -148,8 +148,6 @@ _BINS = 12
 _REPORTED = 16
 _ALWAYS = {"time", "rate", "heading"}
 _UNITS = {"current": "A", "throttle": "", "temperature": "degC"}
-# An age of readings beyond so many of its sigmas is unusual.
-_BEYOND_USUAL = 2.0
 _WANDERS = (
     "The yaw of the attitude, which only the compass itself tells, has to wander by {:.0f} deg: field and "
     "dip were compared, but the heading hardly. A recording of the vehicle in a good state (--baseline) "
@@ -335,7 +333,7 @@ def _unusually_late_s(evidence: Evidence, named: Fit) -> float | None:
     if age is None or evidence.floor.measured:
         return None
     late_s = float(age[0]) + evidence.replay.late_s
-    return late_s if late_s > usual.age.usual_s + _BEYOND_USUAL * usual.age.sigma_s else None
+    return late_s if late_s > usual.age.usual_s + usual.age.unusual * usual.age.sigma_s else None
 
 
 def _hidden(evidence: Evidence, named: Fit) -> dict[str, str]:

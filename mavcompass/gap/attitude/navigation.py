@@ -38,22 +38,7 @@ from mavcompass.track import Track, uncut
 
 # What is left of a pass is the square of how far it moved, and how much its velocities are believed.
 _PASSES, _SETTLED_RAD, _AS_TRUSTED = 10, math.radians(0.3), 0.1
-_STRAINED = 2.0
-# A scale that is off by so many of its sigmas is a fault, and may be off by any.
-_STRETCHED = 5.0
-# Curves smaller than this over all are of no consequence: a tenth of a milligauss. Larger ones may last for
-# the seconds between two silences, and leave tens of sigmas there.
-_LEAST_CURVE_RAD, _MOST_CURVES, _LEAST_CONSTANT_RAD = math.radians(0.015), 200, math.radians(0.5)
-# A yaw that is told no better may lie on the wrong side altogether.
-_MOST_LINEAR_RAD = math.radians(5.0)
 _DOWN = np.array([0.0, 0.0, 1.0])
-_MOST_LENGTHS = 15.0
-# Modes smaller than this are of no consequence.
-_LEAST_RAD = math.radians(0.1)
-_FEWEST = 20
-# Half the time over which what is felt is averaged to gravity: accelerations come and go within five seconds,
-# and a gyro's drift of a twentieth of a degree a second tilts the ends of it by less than one degree.
-_LEVELLED_S = 20.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,12 +118,14 @@ def smoothed_attitude(
 
 def believable(smoothed: Smoothed, bias: Bias) -> bool:
     """Tell whether a gyro's bias is what it was at rest, as far as that may be."""
-    return not bool((np.abs(smoothed.errors["gyro offset"].mean - bias.mean) > _STRAINED * bias.sigma).any())
+    return not bool(
+        (np.abs(smoothed.errors["gyro offset"].mean - bias.mean) > usual.gyro.strained * bias.sigma).any()
+    )
 
 
 def stretched(smoothed: Smoothed) -> bool:
     """Tell whether a gyro's scale is off by more than a healthy one's is."""
-    return bool((np.abs(smoothed.errors["gyro gain"].mean) > _STRETCHED * usual.gyro.scale).any())
+    return bool((np.abs(smoothed.errors["gyro gain"].mean) > usual.gyro.stretched * usual.gyro.scale).any())
 
 
 def faulty(bias: Bias) -> Bias:
@@ -181,8 +168,8 @@ def doubt_of(smoothed: Smoothed, time_s: FloatArray, told: bool, healthy: bool) 
     share /= share.sum()
     mean = np.kron(share, _DOWN)
     variance = float(mean @ covariance @ mean)
-    sigma = math.hypot(math.sqrt(variance), _LEAST_CONSTANT_RAD)
-    told = told and sigma <= _MOST_LINEAR_RAD
+    sigma = math.hypot(math.sqrt(variance), usual.curves.constant_rad)
+    told = told and sigma <= usual.yaw.linear_rad
     # A constant that nothing tells is no small turn, and takes nothing along; nor does one beside a gyro that
     # is off by degrees a second, of which the smoother's models hold less well.
     tied = told and healthy
@@ -191,7 +178,7 @@ def doubt_of(smoothed: Smoothed, time_s: FloatArray, told: bool, healthy: bool) 
     weight = np.sqrt(np.repeat(share, 3))
     values, vectors = np.linalg.eigh(weight[:, None] * (varying @ covariance @ varying.T) * weight)
     size = np.sqrt(np.maximum(values, 0.0))
-    keep = np.flatnonzero(size > _LEAST_CURVE_RAD)[::-1][:_MOST_CURVES]
+    keep = np.flatnonzero(size > usual.curves.least_rad)[::-1][: usual.curves.most]
     small = np.delete(vectors * size, keep, axis=1).reshape(some.size, 3, -1)
     amplitudes = varying.T @ (weight[:, None] * vectors[:, keep]) / size[keep]
     with_sums = smoothed.covariance_with(np.column_stack([mean, amplitudes]))
@@ -218,7 +205,7 @@ def wandering_yaw(time_s: FloatArray) -> FloatArray:
     """
     span_s = float(time_s[-1] - time_s[0])
     # A long recording has no more modes than one of some minutes: they cost time.
-    length_s = max(usual.autopilot.wander_s, span_s / _MOST_LENGTHS)
+    length_s = max(usual.autopilot.wander_s, span_s / usual.curves.lengths)
     count = max(math.ceil(2.0 * span_s / length_s), 3) + 1
     knots = np.linspace(time_s[0], time_s[-1], count)
 
@@ -229,7 +216,7 @@ def wandering_yaw(time_s: FloatArray) -> FloatArray:
         )
 
     values, vectors = np.linalg.eigh(covariance(knots))
-    keep = np.flatnonzero(values > count * _LEAST_RAD**2)[::-1]
+    keep = np.flatnonzero(values > count * usual.curves.wander_rad**2)[::-1]
     # Between the knots the process is what it is expected to be beside them.
     curves = np.zeros((time_s.size, 3, keep.size))
     curves[:, 2] = covariance(time_s) @ vectors[:, keep] / np.sqrt(values[keep])
@@ -238,15 +225,15 @@ def wandering_yaw(time_s: FloatArray) -> FloatArray:
 
 def sensed_by(track: Track) -> Sensed | None:
     """Return what gyro and accelerometer say; None where the recording lacks either."""
-    if track.gyro_radps is None or track.acc_mps2 is None or len(track.gyro_radps) < _FEWEST:
+    if track.gyro_radps is None or track.acc_mps2 is None or len(track.gyro_radps) < usual.gyro.fewest:
         return None
     finite = np.isfinite(track.gyro_radps.values).all(axis=1)
     clock, first = np.unique(track.gyro_radps.time_s[finite], return_index=True)
-    if clock.size < _FEWEST:
+    if clock.size < usual.gyro.fewest:
         return None
     force = track.acc_mps2.at(clock)
     felt = np.asarray(np.isfinite(force).all(axis=1))
-    if felt.sum() < _FEWEST:
+    if felt.sum() < usual.gyro.fewest:
         return None
     # Numbers that were cut toward zero are half a step too small on the average.
     force = uncut(np.where(felt[:, None], force, 0.0), track.acc_truncation_mps2)
@@ -264,7 +251,9 @@ def started(
     velocity does not explain the forces that are felt, it goes to a level frame of any yaw.
     """
     # Only a start: it goes on where readings were lost, and its level is about right.
-    rotation, absorbed_s = (_levelled(data, resting), _LEVELLED_S) if autopilot is None else (autopilot, 0.0)
+    rotation, absorbed_s = (
+        (_levelled(data, resting), usual.rest.levelled_s) if autopilot is None else (autopilot, 0.0)
+    )
     bearing = None
     if velocity is not None:
         bearing = velocity.bearing(data.time_s, rotation, data.force_mps2, absorbed_s)
@@ -279,6 +268,6 @@ def _levelled(data: Sensed, resting: Bias) -> FloatArray:
     there = integrated(data.time_s, rate)
     down = -np.einsum("nij,nj->ni", there, data.force_mps2) * data.felt[:, None]
     # Where nothing was felt nearby, the average of all is the best there is.
-    total = triangle_means(data.time_s, down, _LEVELLED_S) + 1e-6 * down.mean(axis=0)
+    total = triangle_means(data.time_s, down, usual.rest.levelled_s) + 1e-6 * down.mean(axis=0)
     total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
     return with_down(data.time_s, rate, np.einsum("nji,nj->ni", there, total))

@@ -16,19 +16,6 @@ from mavcompass.simulation.physics.world import EARTH_RADIUS_M
 from mavcompass.track import Series, Track
 
 _STEP_S = 0.2
-# Accelerations are compared smoothed over some seconds (the noise of a second derivative falls with the
-# square of it), and taken away less smooth.
-_COMPARED_S, _TAKEN_S = 3.0, 1.0
-# Readings that a derivative is smoothed over; no receiver's velocity is better than this.
-_SMOOTHED = 3
-_FEWEST_FIXES = 50
-# Between velocities further apart an acceleration is lost, which the autopilot knows from its own sensors.
-_OFTEN_S = 0.3
-_LONGEST_GAP_S = 3.0
-# The receiver is believed where it explains this share of what is felt, and more than chance would, with a
-# yaw that drifts by less.
-_BELIEVED_SHARE, _SURE = 0.3, 10.0
-_MOST_DRIFT_RADPS = math.radians(1.0)
 _TURN_STEP_RAD = 0.25
 
 
@@ -58,15 +45,15 @@ class Velocity:
         acceleration had been taken away before. None where no yaw explains what is felt.
         """
         level = np.einsum("nij,nj->ni", rotation, force)
-        width = max(round(_COMPARED_S / max(float(np.median(np.diff(clock))), 1e-3)), 1)
+        width = max(round(usual.receiver.compared_s / max(float(np.median(np.diff(clock))), 1e-3)), 1)
         smooth = _running(_running(level, width), width)
         felt = smooth[:, 0] + 1j * smooth[:, 1]
-        compared = self.acceleration(clock, _COMPARED_S)
+        compared = self.acceleration(clock, usual.receiver.compared_s)
         shown = compared - triangle_means(clock, compared, absorbed_s)
         said = shown[:, 0] + 1j * shown[:, 1]
         middle = clock - 0.5 * (clock[0] + clock[-1])
         step = _TURN_STEP_RAD / max(float(np.ptp(clock)), 1.0)
-        most = math.ceil(_MOST_DRIFT_RADPS / step)
+        most = math.ceil(usual.receiver.drift_radps / step)
         drifts = step * np.arange(-most, most + 1)
         product = np.conj(said) * felt
         sums = np.array([np.sum(product * np.exp(-1j * drift * middle)) for drift in drifts])
@@ -74,11 +61,13 @@ class Velocity:
         angle = np.asarray(drifts[best] * middle + np.angle(sums[best]))
         left = float(np.mean(np.abs(felt - said * np.exp(1j * angle)) ** 2))
         # Of so many drifts one explains a share of mere noise by chance.
-        independent = max(float(np.ptp(clock)) / _COMPARED_S, 1.0)
-        believed = max(_BELIEVED_SHARE, (_SURE + math.log(drifts.size)) / independent)
+        independent = max(float(np.ptp(clock)) / usual.receiver.compared_s, 1.0)
+        believed = max(
+            usual.receiver.believed_share, (usual.receiver.sure + math.log(drifts.size)) / independent
+        )
         return angle if left <= (1.0 - believed) * float(np.mean(np.abs(felt) ** 2)) else None
 
-    def acceleration(self, clock: FloatArray, smoothing_s: float = _TAKEN_S) -> FloatArray:
+    def acceleration(self, clock: FloatArray, smoothing_s: float = usual.receiver.taken_s) -> FloatArray:
         """Return the acceleration north, east, down at some times, (N, 3).
 
         It is the exact derivative of a smooth curve: averaged over T, its noise falls with T.
@@ -123,17 +112,17 @@ def receiver_velocity(track: Track, clock: FloatArray) -> Velocity | None:
             continue
         finite = np.isfinite(series.values).all(axis=1)
         when, values = series.time_s[finite], series.values[finite]
-        if when.size < _FEWEST_FIXES or float(np.max(np.diff(when))) > _LONGEST_GAP_S:
+        if when.size < usual.receiver.fewest or float(np.max(np.diff(when))) > usual.receiver.gap_s:
             continue
-        if when[0] > clock[0] + _LONGEST_GAP_S or when[-1] < clock[-1] - _LONGEST_GAP_S:
+        if when[0] > clock[0] + usual.receiver.gap_s or when[-1] < clock[-1] - usual.receiver.gap_s:
             continue
         if of_positions:
             grid = np.arange(when[0], when[-1], _STEP_S)
-            curve = _running(interpolated(when, values, grid), _SMOOTHED)
+            curve = _running(interpolated(when, values, grid), usual.receiver.smoothed)
             when, values = grid, np.gradient(curve, _STEP_S, axis=0)
-        if when.size < _FEWEST_FIXES:
+        if when.size < usual.receiver.fewest:
             continue
-        change = np.gradient(_running(values, _SMOOTHED), when, axis=0)
+        change = np.gradient(_running(values, usual.receiver.smoothed), when, axis=0)
         return Velocity(when, values, change, np.maximum(white_floor(values), usual.receiver.least_mps))
     return None
 
@@ -142,9 +131,9 @@ def _own_velocity(track: Track) -> Series | None:
     """Return the velocity that the receiver itself told often enough, its vertical by the autopilot where
     the receiver tells none."""
     own, filtered = track.receiver_velocity_mps, track.gps_velocity_mps
-    if own is None or filtered is None or len(own) < _FEWEST_FIXES:
+    if own is None or filtered is None or len(own) < usual.receiver.fewest:
         return None
-    if float(np.median(np.diff(own.time_s))) > _OFTEN_S:
+    if float(np.median(np.diff(own.time_s))) > usual.receiver.often_s:
         return None
     down = own.values[:, 2]
     if not np.isfinite(down).all():

@@ -46,14 +46,7 @@ from mavcompass.track import Track
 ReferenceKind = Literal["columns", "fused", "gps-yaw", "gyro", "attitude"]
 Choice = Literal["auto", "gyro", "gps-yaw", "attitude", "columns"]
 
-# Integrating the gyro needs samples closer together than this; slower recordings use ATTITUDE.
-SLOWEST_GYRO_S = 0.15
-# A constant of the yaw that may be off by more has no witness.
-UNKNOWN_YAW_RAD = 0.3
-_FEWEST = 20
 _EVERY = slice(None)
-# Curves of an attitude that no baseline tells of: more cost time, and no answer on recordings of others.
-_MOST_ALONE = 48
 _REMEDY = "Record RAW_IMU or IMU messages at 10 Hz or more, or an attitude (ATTITUDE, ATT)."
 
 
@@ -83,7 +76,7 @@ class Reference(Doubt):
     @property
     def yaw_unknown(self) -> bool:
         """Tell whether nothing but the compass itself fixes the constant of the yaw."""
-        return self.yaw_sigma_rad > UNKNOWN_YAW_RAD
+        return self.yaw_sigma_rad > usual.yaw.unknown_rad
 
     def wander_rad(self, amplitudes: FloatArray) -> FloatArray:
         """Return what curves with some amplitudes (k,) turn the yaw by, (N,), radians."""
@@ -95,9 +88,9 @@ class Reference(Doubt):
         What such a recording is held against holds more than an attitude leaves: only the largest curves
         count. A yaw without a witness may wander.
         """
-        small = self.curves_rad[:, :, _MOST_ALONE:]
+        small = self.curves_rad[:, :, usual.curves.most_alone :]
         rest = np.einsum("nik,njk->ij", small, small) / max(len(small), 1)
-        curves = self.curves_rad[:, :, :_MOST_ALONE]
+        curves = self.curves_rad[:, :, : usual.curves.most_alone]
         if not self.witnessed:
             more = wandering_yaw(time_s)
             curves = np.concatenate([curves if curves.size else more[:, :, :0], more], axis=2)
@@ -144,7 +137,7 @@ def reference_attitude(
 def _gyro_is_fast(track: Track) -> bool:
     """Tell whether gyro and accelerometer were recorded, with numbers, often enough to be integrated."""
     sensed = sensed_by(track)
-    return sensed is not None and float(np.median(np.diff(sensed.time_s))) <= SLOWEST_GYRO_S
+    return sensed is not None and float(np.median(np.diff(sensed.time_s))) <= usual.gyro.slowest_s
 
 
 def _columns(track: Track, time_s: FloatArray) -> Reference | None:
@@ -263,11 +256,11 @@ def _fused(
 def _autopilot_rotation(track: Track, clock: FloatArray) -> FloatArray | None:
     """Return the autopilot's attitude (N, 3, 3) at other times; None where it was recorded too slowly."""
     series = track.attitude_rad
-    if series is None or len(series) < _FEWEST:
+    if series is None or len(series) < usual.gyro.fewest:
         return None
     when = np.unique(series.time_s)
     if (
-        float(np.median(np.diff(when))) > SLOWEST_GYRO_S
+        float(np.median(np.diff(when))) > usual.gyro.slowest_s
         or when[0] > clock[0] + 1.0
         or when[-1] < clock[-1] - 1.0
     ):
@@ -289,7 +282,7 @@ def _antennas_yaw(track: Track, clock: FloatArray, rotation: FloatArray) -> Floa
     if track.gps_yaw_rad is None:
         return None
     finite = np.isfinite(track.gps_yaw_rad.values)
-    if finite.sum() < _FEWEST:
+    if finite.sum() < usual.gyro.fewest:
         return None
     heard_s, told = track.gps_yaw_rad.time_s[finite], track.gps_yaw_rad.values[finite]
     turned = np.unwrap(matrix_to_euler(rotation)[2])

@@ -16,14 +16,6 @@ from mavcompass.gap.tables import usual
 _WINDOW, _WINDOWED = 32, 3
 # The median of squares of normal deviates.
 MEDIAN_OF_SQUARES = 0.455
-_SMOOTHING_S = 0.7
-_SHORTEST_S = 2.0
-_SAME_RATE_RADPS = math.radians(1.0)
-# A gyro that an autopilot has calibrated is off by less; what turns faster turns.
-_LARGEST_RADPS = math.radians(3.0)
-_SAME_FORCE_MPS2 = 0.15
-_PART_S = 2.0
-_FEWEST_PARTS = 3
 
 
 def white_floor(values: FloatArray) -> FloatArray:
@@ -61,7 +53,7 @@ def bias_at_rest(clock: FloatArray, rate: FloatArray, acc: FloatArray) -> Bias:
     ]
     if not parts:
         return Bias(np.zeros(3), np.full(3, usual.gyro.unknown_bias_radps))
-    if len(parts) < _FEWEST_PARTS:
+    if len(parts) < usual.rest.fewest_parts:
         return Bias(np.mean(parts, axis=0), np.full(3, usual.gyro.unknown_bias_radps))
     # Slow motion makes neighbouring parts alike: two of them count as one.
     spread = np.std(parts, axis=0, ddof=1) / math.sqrt(0.5 * len(parts))
@@ -73,28 +65,28 @@ def rests(clock: FloatArray, rate: FloatArray, acc: FloatArray) -> list[slice]:
     still = _still(clock, rate, acc)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
     found = [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    return [s for s in found if clock[s.stop - 1] - clock[s.start] >= _SHORTEST_S]
+    return [s for s in found if clock[s.stop - 1] - clock[s.start] >= usual.rest.shortest_s]
 
 
 def _parts(clock: FloatArray, stretch: slice) -> list[slice]:
-    count = max(int((clock[stretch.stop - 1] - clock[stretch.start]) / _PART_S), 1)
+    count = max(int((clock[stretch.stop - 1] - clock[stretch.start]) / usual.rest.part_s), 1)
     edges = np.linspace(stretch.start, stretch.stop, count + 1).round().astype(np.int64)
     return [slice(int(a), int(b)) for a, b in pairwise(edges) if b > a]
 
 
 def _still(clock: FloatArray, rate: FloatArray, acc: FloatArray) -> NDArray[np.bool_]:
-    width = max(3, int(_SMOOTHING_S / max(float(np.median(np.diff(clock))), 1e-3)))
+    width = max(3, int(usual.rest.smoothing_s / max(float(np.median(np.diff(clock))), 1e-3)))
     smooth, force = smoothed(rate, width), smoothed(acc, width)
-    slow = np.abs(smooth).max(axis=1) < _LARGEST_RADPS
+    slow = np.abs(smooth).max(axis=1) < usual.rest.largest_radps
     if not slow.any():
         return slow
     # The quietest stretch tells the bias; whatever turns no faster than that is still.
     size = np.where(slow, np.abs(smooth).max(axis=1), np.inf)
-    bias = np.median(smooth[size <= size.min() + _SAME_RATE_RADPS], axis=0)
-    still = slow & (np.abs(smooth - bias).max(axis=1) < _SAME_RATE_RADPS)
+    bias = np.median(smooth[size <= size.min() + usual.rest.same_radps], axis=0)
+    still = slow & (np.abs(smooth - bias).max(axis=1) < usual.rest.same_radps)
     change = np.zeros(clock.size)
     change[width:] = np.abs(force[width:] - force[:-width]).max(axis=1)
-    return np.asarray(still & (change < _SAME_FORCE_MPS2))
+    return np.asarray(still & (change < usual.rest.same_mps2))
 
 
 def smoothed(values: FloatArray, width: int) -> FloatArray:

@@ -44,8 +44,6 @@ _GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
 PHI, BIAS, _V, _FAST, _SLOW, _LEVEL, _STATES = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, (11, 12), 13
 # Constants: gyro scale, accelerometer bias, the receiver's delay, the witness's constant and its turns.
 SCALE, ACC, _LATE, _OFFSET, _TURNS, _CONSTANTS = slice(0, 3), slice(3, 6), 6, 7, slice(8, 11), 11
-# A velocity is contradicted where more is left of it than it varies by, and than so many of its errors.
-_BORNE_OUT = 2.0
 _COVARIANCES, _MOST_SILENCES = 64, 32
 
 
@@ -192,7 +190,9 @@ class Smoother:
             return True
         left = np.abs(self._left(solved)[:, :2])
         varies = self.seen.mean_mps[:, :2] - self.seen.mean_mps[:, :2].mean(axis=0)
-        least = np.maximum(np.median(np.abs(varies), axis=0), _BORNE_OUT * self.seen.sigma_mps[:2])
+        least = np.maximum(
+            np.median(np.abs(varies), axis=0), usual.receiver.borne_out * self.seen.sigma_mps[:2]
+        )
         return bool((np.median(left * self.seen.sigma_mps[:2], axis=0) < least).all())
 
     def through(self, rotation: FloatArray) -> FloatArray:

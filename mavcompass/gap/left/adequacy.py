@@ -23,12 +23,11 @@ from mavcompass.gap.replay.noise import SensorNoise, group_values
 from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.replay.nuisance import Prior, block_diagonal
 from mavcompass.gap.replay.testable import untestable_effects
+from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.effect import Effect, Group, Signals
 
 # Columns have unit length: what is left of a direction below this share is the model's own.
 _RANK = 1e-4
-# A sensor is doubted where structure shows in it that chance makes once in a hundred thousand recordings.
-_EXPLAINED_P = 1e-5
 # Six degrees of tilt, three degrees a second: sensors that leave more unexplained tell nothing.
 _USELESS: dict[Group, float] = {"acc": 1.0, "gyro": 0.05}
 _SENSOR_WORDS: dict[Group, str] = {"acc": "accelerometer", "gyro": "gyro"}
@@ -300,7 +299,7 @@ def _doubtful(witness: Replay, effects: Sequence[Effect]) -> dict[Group, SensorN
         fit = problem.fit(terms, [t.effect.neutral() for t in terms], ())
         noise = measured_noise(problem, fit)
         tests = judge(Problem(alone, noise, alone.valid, problem.prior), fit, compare_scatter=False).tests
-        if tests[0].p <= _EXPLAINED_P:
+        if tests[0].p <= usual.baseline.explained_p:
             worse, own = math.sqrt(max(1.0, *(t.excess for t in tests))), noise[group]
             out[group] = replace(own, sigma=own.sigma * worse, rms=own.rms * worse)
     return out

@@ -20,11 +20,6 @@ from mavcompass.simulation.effects import detected_by, get
 
 # The scatter's own distribution is only known from the recording: be slower to name it.
 _SCATTER_TRIALS = 50
-# Without a baseline, times may scatter by this much and be healthy.
-_DOUBTFUL_JITTER_S = 0.02
-# What late readings scatter must be this share of the noise: where the field changes fast at one place only,
-# the model's own error there looks late.
-_LEAST_LATE = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +85,8 @@ def find_scatter(
         size = math.sqrt(even_size * width * float(np.mean(noise.rms**2)))
         doubt = 0.5 * size * math.sqrt(2.0 * inflation / y.size) * (1.0 + even_size) / even_size
         candidates.append(Scatter(more, size, even / inflation, doubt))
-    trusted = representative or math.sqrt(late_size) > _DOUBTFUL_JITTER_S
-    late_shows = late_size * float(np.mean(x)) > _LEAST_LATE**2
+    trusted = representative or math.sqrt(late_size) > usual.scatter.jitter_s
+    late_shows = late_size * float(np.mean(x)) > usual.scatter.least_late**2
     if late_times in allowed and trusted and late_shows:
         candidates.append(Scatter(late_times, math.sqrt(late_size), late / inflation))
     if not floor.measured and more in allowed:

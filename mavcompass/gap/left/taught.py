@@ -47,13 +47,6 @@ from mavcompass.gap.replay.testable import untestable_effects
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.effect import FREQUENCY, LIMIT, Effect
 
-_FOLD_WIDENING, _MOST_FOLDED = 4.0, 4
-# A baseline has a gap of its own where chance makes so much structure so seldom.
-_GAP_P = 0.002
-# Slow causes dominate what is left where that is so many times the scatter between neighbours.
-_DOMINATED = 1.6
-# One good baseline in some hundreds is flagged by chance: it must not cost the diagnosis its sharpness.
-_REPRESENTATIVE_P = 1e-5
 # How much the same vehicle differs from one recording to the next.
 _FROM_DAY_TO_DAY = {
     WORLD_FIELD.id: usual.place.daily_mgauss,
@@ -61,29 +54,22 @@ _FROM_DAY_TO_DAY = {
     IRON_MATRIX: usual.compass.daily_matrix,
     IRON_OFFSET: usual.compass.daily_offset_mgauss,
 }
-# A reading of some age waits for its message, for at most about twice that age.
-_MOST_WAITING = 0.5
 # Two waits never differ by more than a step of the messages: a normal of half their variance reaches that at
 # 3.5 sigma, one of all of it at 2.4, and would take a lag of two steps for a wait.
 _BOUNDED = math.sqrt(0.5)
-_FEWEST_READINGS = 10
-_UNMEASURED, _LEVEL_MORE = 3.0, 1.25
-# What another iron must explain beyond the calibration in force, and how far that may be strained (squared
-# sigmas).
-_MATERIAL_MGAUSS, _MATERIAL_SHARE, _MOST_STRAIN = 1.5, 0.5, 60.0
 
 
 def from_baseline(replay: Replay, baseline: Replay, effects: Collection[Effect]) -> Floor:
     """Tune the simulator to a baseline, with those effects that it can tell, and measure what it leaves."""
     trust, problem, fit = _tuned(baseline)
     sharp = baseline.reference.kind == "columns"
-    if sharp and judge(problem, fit, compare_scatter=False).p < _GAP_P:
+    if sharp and judge(problem, fit, compare_scatter=False).p < usual.baseline.gap_p:
         never = untestable_effects(baseline, effects).keys()
         # What comes and goes, lines and limits, no baseline teaches.
         lasting = (e for e in effects if not e.moves and {FREQUENCY, LIMIT}.isdisjoint(e.names))
         foldable = [e for e in lasting if e.kind == "mean" and e.id not in never]
         for _ in range(2):
-            fit = Search(problem, foldable).run(_MOST_FOLDED).best
+            fit = Search(problem, foldable).run(usual.baseline.most_folded).best
             if not fit.terms:
                 break
             problem = Problem(baseline, measured_noise(problem, fit), baseline.valid, problem.prior)
@@ -108,7 +94,7 @@ def from_baseline(replay: Replay, baseline: Replay, effects: Collection[Effect])
         heading_rms = math.hypot(heading_rms * larger, math.degrees(usual.compass.discrepancy_mgauss / level))
         # Scatter that is alike in all axes is scatter of the heading too, whatever the baseline's turns
         # showed.
-        heading_rms = max(heading_rms, math.degrees(_LEVEL_MORE * field_rms / level))
+        heading_rms = max(heading_rms, math.degrees(usual.baseline.level_more * field_rms / level))
     return Floor(
         noise=noise,
         field_rms_mgauss=field_rms,
@@ -132,7 +118,9 @@ def _tuned(baseline: Replay) -> tuple[Trust | None, Problem, Fit]:
     first, stated = widest.null(), widest.noise
     # Where slow causes dominate, the scatter between neighbours is the noise.
     noise: Noise = {
-        group: stated[group] if float(np.max(found.rms / stated[group].sigma)) > _DOMINATED else found
+        group: stated[group]
+        if float(np.max(found.rms / stated[group].sigma)) > usual.baseline.dominated
+        else found
         for group, found in measured_noise(widest, first).items()
     }
     problem = Problem(baseline, noise, baseline.valid, widest.prior)
@@ -144,8 +132,8 @@ def _tuned(baseline: Replay) -> tuple[Trust | None, Problem, Fit]:
     # Where the noise is tighter than what is left, a prior is strained by as much.
     strain = trusting.strain(believed) / max(believed.sse / max(3 * trusting.count, 1), 1.0)
     worse = math.sqrt(max(_rms_left(trusting, believed) ** 2 - least**2, 0.0))
-    material = 0.0 if baseline.reference.kind == "columns" else _MATERIAL_MGAUSS
-    if worse <= max(material, _MATERIAL_SHARE * least) and strain <= _MOST_STRAIN:
+    material = 0.0 if baseline.reference.kind == "columns" else usual.baseline.material_mgauss
+    if worse <= max(material, usual.baseline.material_share * least) and strain <= usual.baseline.most_strain:
         return trust, trusting, believed
     return ANOTHER_IRON, problem, fit
 
@@ -164,8 +152,7 @@ def _growth(problem: Problem, fit: Fit) -> FloatArray:
     predicted = problem.predict(fit).mag_mgauss
     error = noise.in_channels(replay.measured.mag_mgauss - predicted)[replay.valid] ** 2
     change = nominal_rate(replay, noise)[replay.valid] ** 2
-    usual = 4.0 * np.mean(error, axis=0)
-    bounded = np.minimum(error, 4.0 * usual)
+    bounded = np.minimum(error, 16.0 * np.mean(error, axis=0))
     spread = change - change.mean(axis=0)
     slope = (spread * bounded).sum(axis=0) / np.maximum((spread**2).sum(axis=0), 1e-9)
     return np.clip(slope, 0.0, 0.15**2)
@@ -191,7 +178,7 @@ def _represents(problem: Problem, fit: Fit) -> bool:
     way each time.
     """
     steady = not problem.noise["mag"].moving.any() and problem.replay.reference.kind == "columns"
-    return steady and judge(problem, fit, compare_scatter=False).p > _REPRESENTATIVE_P
+    return steady and judge(problem, fit, compare_scatter=False).p > usual.baseline.representative_p
 
 
 def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust: Trust | None) -> Prior:
@@ -229,7 +216,9 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust:
             # A witness of the yaw is off by the same constant as it was in the baseline.
             mean, precision = nuisance.mean.copy(), nuisance.precision.copy()
             mean[0] = theta[0]
-            variance = _FOLD_WIDENING * float(fit.covariance[first, first]) + usual.autopilot.daily_rad**2
+            variance = (
+                usual.baseline.widening * float(fit.covariance[first, first]) + usual.autopilot.daily_rad**2
+            )
             precision[0, 0] = 1.0 / variance
             nuisance = replace(nuisance, mean=mean, precision=precision)
         taught.append(nuisance)
@@ -249,7 +238,7 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust:
     daily = np.zeros(at)
     if replay.reference.kind != "columns":
         daily = np.concatenate([_daily(n, trust, replay, baseline) for n in taught])
-    covariance = _FOLD_WIDENING * fit.covariance[np.ix_(source, source)] + np.diag(daily[place] ** 2)
+    covariance = usual.baseline.widening * fit.covariance[np.ix_(source, source)] + np.diag(daily[place] ** 2)
     told = np.maximum(np.diag(covariance) * np.diag(prior.precision)[place], 1.0)
     # What a baseline hardly shows (motors that idle) stays within what is stated for this recording.
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
@@ -268,9 +257,11 @@ def _daily(taught: Nuisance, trust: Trust | None, replay: Replay, baseline: Repl
     daily = np.full(taught.mean.size, _FROM_DAY_TO_DAY.get(taught.effect.id, 0.0))
     if taught.effect.id == TELEMETRY_AGE:
         waiting_s = _BOUNDED * max(_waiting_s(replay), _waiting_s(baseline))
-        return np.hypot(daily, np.minimum(waiting_s, _MOST_WAITING * np.abs(taught.mean + replay.late_s)))
+        return np.hypot(
+            daily, np.minimum(waiting_s, usual.baseline.waiting * np.abs(taught.mean + replay.late_s))
+        )
     # An iron that nobody measured but this baseline takes all its errors with it.
-    return _UNMEASURED * daily if trust is ANOTHER_IRON else daily
+    return usual.baseline.unmeasured * daily if trust is ANOTHER_IRON else daily
 
 
 def _waiting_s(replay: Replay) -> float:
@@ -282,7 +273,7 @@ def _waiting_s(replay: Replay) -> float:
     messages are, that which a recording began with stays.
     """
     fresh, read = replay.trace.fresh_s, replay.readings.time_s
-    if fresh.size != read.size or fresh.size < _FEWEST_READINGS:
+    if fresh.size != read.size or fresh.size < usual.baseline.fewest_readings:
         return 0.0
     step = float(np.median(np.diff(fresh) - replay.trace.held_s[:-1]))
     return math.sqrt(max(step**2 / 6.0 - 2.0 * float(np.var(fresh - read)), 0.0))

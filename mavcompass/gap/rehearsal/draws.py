@@ -14,6 +14,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.export.vehicle import affine_map
 from mavcompass.gap.rehearsal.kind import Kind
 from mavcompass.gap.result import MATRIX, MOTOR, OFFSET, Belief, Diagnosis
+from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects import Setting, get
 from mavcompass.simulation.effects.effect import Distortion, Effect, Memory, Rng, Signals, Stage
 
@@ -24,20 +25,13 @@ IRON_NAMES = (
 )
 _GAINS = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))
 _STEP = 1e-4
-_UNTOLD_MGAUSS_PER_A = 1e3
-# How far the motors' field of a calibration may be off, as a share.
-_CALIBRATED = 0.1
 MOST_POSITIONS = 10
 # What the recording leaves open of the motors' field, beside what the calibration in force says of it.
 MOTORS = "motors"
-# Half of the vehicles whose recording shows no field of the motors have one that it does not exclude.
-_MOTORS_BEFORE = 0.5
 # The horizontal cross term of the iron, and the vertical ones.
 _CROSS = (((0, 1),), ((0, 2), (1, 2)))
 # What scatters single readings or their times is in the vehicle's stances.
 _ACTING = frozenset({"mean", "discrete"})
-# How far a turn of 90 degrees ends from where it should.
-_TURN_SIGMA_RAD = math.radians(3.0)
 
 
 def iron_settings(
@@ -94,9 +88,13 @@ def whole_iron(diagnosis: Diagnosis) -> tuple[FloatArray, FloatArray] | None:
         jacobian[:, place] = (whole(belief.mean + step) - here) / _STEP
     covariance = jacobian @ belief.covariance @ jacobian.T
     if not covariance[9:, 9:].any():
-        covariance[9:, 9:] = _UNTOLD_MGAUSS_PER_A**2 * np.eye(3)
+        covariance[9:, 9:] = usual.motors.untold_mgauss**2 * np.eye(3)
     size = float(np.linalg.norm(cured.motor_mgauss)) * by_current
-    return _trusting(here, covariance, cured.motor_mgauss, _CALIBRATED * size) if size else (here, covariance)
+    return (
+        _trusting(here, covariance, cured.motor_mgauss, usual.motors.calibrated * size)
+        if size
+        else (here, covariance)
+    )
 
 
 def _trusting(
@@ -190,7 +188,7 @@ class Draws:
             settings=tuple(s for s in effects_in(belief, values) if s.effect.kind in _ACTING)
             + tuple(self._faults(rng)),
             heading_rad=float(rng.uniform(-math.pi, math.pi)),
-            turned_off_rad=_TURN_SIGMA_RAD * rng.standard_normal(k),
+            turned_off_rad=usual.stance.turn_rad * rng.standard_normal(k),
             stance=rng.integers(len(kind.stances), size=k),
             used=int(rng.integers(kind.used.time_s.size)),
             noise=rng.standard_normal((k, 3)),
@@ -247,7 +245,7 @@ def _loaded(kind: Kind, belief: Belief) -> float:
         or np.linalg.matrix_rank(covariance) < 3
     ):
         return 1.0
-    log_odds = math.log(_MOTORS_BEFORE / (1.0 - _MOTORS_BEFORE))
+    log_odds = math.log(usual.motors.before / (1.0 - usual.motors.before))
     log_odds += 0.5 * float(mean @ np.linalg.solve(covariance, mean))
     return 1.0 / (1.0 + math.exp(-log_odds))
 

@@ -22,20 +22,8 @@ from mavcompass.simulation.effects import get
 from mavcompass.simulation.physics.signals import Stimulus
 from mavcompass.track import Track
 
-# The live procedure stands for so long; for the longer where the heading by it is not sure enough.
-_SHORT_S, _LONG_S, _ENOUGH_RAD = 0.92, 1.7, math.radians(0.15)
-# A recording with fewer readings a second than a compass gives needs longer for as many.
-_READINGS_HZ = 10.0
-_MOST, _FEWEST = 24, 5
-_CALM_RADPS = math.radians(2.0)
-# A calibration stands right after a turn: chassis and estimator have settled less than they ever will.
-_TURNING_RADPS, _AFTERWARDS_S = math.radians(10.0), 3.0
-_ROLLING_RADPS = math.radians(30.0)
-_MOTORS_ON = 0.1
 # A turn of 90 degrees, and the two halves of the positions beside it.
 STEP_S = 5.0
-# More of a field than so many times what rocks and buildings add to the world model counts as not told.
-_TOLD = 2.0
 
 
 def stances_of(
@@ -47,12 +35,15 @@ def stances_of(
     """
     times = track.compasses[instance].time_s
     rate_hz = (times.size - 1) / max(float(times[-1] - times[0]), 1e-3)
-    slow = max(_READINGS_HZ / rate_hz, 1.0)
+    slow = max(usual.stance.readings_hz / rate_hz, 1.0)
     found = []
-    for middle in _calm(track, record, _LONG_S * slow, times):
-        stance = _dwell(track, instance, record, middle, _SHORT_S * slow)
-        if stance is None or stance.heading_sigma_rad(horizontal_mgauss, vertical_mgauss) > _ENOUGH_RAD:
-            stance = _dwell(track, instance, record, middle, _LONG_S * slow)
+    for middle in _calm(track, record, usual.stance.long_s * slow, times):
+        stance = _dwell(track, instance, record, middle, usual.stance.short_s * slow)
+        if (
+            stance is None
+            or stance.heading_sigma_rad(horizontal_mgauss, vertical_mgauss) > usual.stance.enough_rad
+        ):
+            stance = _dwell(track, instance, record, middle, usual.stance.long_s * slow)
         if stance is not None:
             found.append(stance)
     if not found:
@@ -82,18 +73,20 @@ def _calm(track: Track, record: TurnRecord, length_s: float, times: FloatArray) 
     unrest = np.diff(np.interp(around, record.time_s, moved), axis=0)[0] / length_s
     rolled = np.concatenate([[0], np.cumsum(rolls(track, record.time_s))])
     # A calibration waits until the wheels have stopped.
-    unrest[np.diff(rolled[np.searchsorted(record.time_s, around)], axis=0)[0] > 0] += _ROLLING_RADPS
+    unrest[np.diff(rolled[np.searchsorted(record.time_s, around)], axis=0)[0] > 0] += (
+        usual.stance.rolling_radps
+    )
     if track.vehicle == "copter" and track.throttle is not None and len(track.throttle):
-        flying = np.nan_to_num(track.throttle.at(middles)) > _MOTORS_ON
+        flying = np.nan_to_num(track.throttle.at(middles)) > usual.stance.motors_on
         if flying.any():
             middles, unrest = middles[flying], unrest[flying]
-    turning = np.append(-np.inf, record.time_s[np.abs(record.rate_radps) > _TURNING_RADPS])
+    turning = np.append(-np.inf, record.time_s[np.abs(record.rate_radps) > usual.stance.turning_radps])
     starts = middles - 0.5 * length_s
     since_s = starts - turning[np.searchsorted(turning, starts) - 1]
-    settling = (since_s < _AFTERWARDS_S) & (unrest <= _CALM_RADPS)
+    settling = (since_s < usual.stance.afterwards_s) & (unrest <= usual.stance.calm_radps)
     chosen: list[float] = []
     for i in np.lexsort((unrest, ~settling)):
-        if len(chosen) == _MOST or (len(chosen) >= _FEWEST and not settling[i]):
+        if len(chosen) == usual.stance.most or (len(chosen) >= usual.stance.fewest and not settling[i]):
             break
         if all(abs(middles[i] - other) >= length_s for other in chosen):
             chosen.append(float(middles[i]))
@@ -182,7 +175,7 @@ def _told(belief: Belief, replayed: Replay, earth: EarthField | None) -> Belief:
     apart.
     """
     sigma = usual.place.anomaly * float(np.linalg.norm(replayed.signals.stimulus.field_ned_mgauss[0]))
-    if math.sqrt(float(np.diag(belief.covariance)[:3].max())) < _TOLD * sigma:
+    if math.sqrt(float(np.diag(belief.covariance)[:3].max())) < usual.place.told * sigma:
         return belief
     gain = belief.covariance[:, :3] @ np.linalg.inv(belief.covariance[:3, :3] + sigma**2 * np.eye(3))
     off = -belief.mean[:3] if earth is not None else np.zeros(3)

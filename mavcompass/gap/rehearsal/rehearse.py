@@ -71,10 +71,10 @@ class Run:
         level, tilted = (_expected(column[np.isfinite(column)]) for column in self.errors_deg.T)
         return Errors(level, tilted)
 
-    def change_from(self, usual: Run) -> tuple[float, float]:
+    def change_from(self, other: Run) -> tuple[float, float]:
         """Return the ratio of rms errors, level and tilted, to those of the same vehicles done otherwise."""
-        both = np.isfinite(self.errors_deg) & np.isfinite(usual.errors_deg)
-        mine, theirs = (np.where(both, run.errors_deg, 0.0) for run in (self, usual))
+        both = np.isfinite(self.errors_deg) & np.isfinite(other.errors_deg)
+        mine, theirs = (np.where(both, run.errors_deg, 0.0) for run in (self, other))
         level, tilted = np.sqrt((mine**2).sum(axis=0) / np.maximum((theirs**2).sum(axis=0), 1e-12)).tolist()
         return level, tilted
 

@@ -10,20 +10,10 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude.kinematics import integral
+from mavcompass.gap.tables import usual
 from mavcompass.track import Series
 
-_FEWEST_LEVELS, _FEWEST_TOGETHER = 6, 10
-# Steps that are looked for behind a calibration: finer ones drown in the messages' own rounding.
-_FINEST_MGAUSS, _COARSEST_MGAUSS = 4.0, 100.0
-_IN_STEP, _AS_GOOD, _WORTH_A_LEVEL = 0.85, 0.97, 0.005
-# What a gyro at rest may tell; readings stay for a shorter time by nature.
-_RESTING_RADPS, _WORTH_A_LOOK_S = 0.01, 0.25
-# An autopilot repeats nine of ten readings by nature, and a compass on a vehicle that turns does not stay.
-_ALWAYS, _TURNED_RAD = 0.97, math.radians(10.0)
-# Telemetry may come once in a second, and miss one or two.
-_FROZE_S = 4.0
 _BIN_MGAUSS, _MOST_BINS = 0.25, 1 << 18
-_QUIET_SHARE = 0.4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,13 +38,13 @@ class Trace:
     def froze(self) -> bool:
         """Tell whether a reading stayed while a gyro turned, far longer than telemetry holds one."""
         turned = np.where(np.isfinite(self.turned_rad), self.turned_rad, 0.0)
-        return bool(((turned > _TURNED_RAD) & (self.held_s > _FROZE_S)).any())
+        return bool(((turned > usual.repeats.frozen_rad) & (self.held_s > usual.repeats.froze_s)).any())
 
     @property
     def frozen(self) -> bool:
         """Tell whether nearly all is one reading, under which a gyro turned."""
         turned = float(self.turned_rad[np.isfinite(self.turned_rad)].max(initial=0.0))
-        return self.stale_share > _ALWAYS and turned > _TURNED_RAD
+        return self.stale_share > usual.repeats.always and turned > usual.repeats.frozen_rad
 
 
 def inspect(
@@ -69,7 +59,7 @@ def inspect(
     jump = np.append(np.abs(np.diff(field_mgauss[fresh], axis=0)).max(axis=1), np.inf)
     held, since = time_s[last] - time_s[fresh], time_s[fresh]
     turned = np.zeros(held.size)
-    for i in np.flatnonzero(held > _WORTH_A_LOOK_S):
+    for i in np.flatnonzero(held > usual.repeats.worth_a_look_s):
         turned[i] = _turned_rad(gyro_radps, float(since[i]), float(since[i] + held[i]))
     jump = np.nan_to_num(jump, posinf=np.inf)
     return Trace(share, same, held, since, jump, turned, _lattice(field_mgauss[valid]))
@@ -83,7 +73,9 @@ def _turned_rad(gyro_radps: Series | None, start_s: float, end_s: float) -> floa
     time_s, rate = gyro_radps.time_s[first:last], gyro_radps.values[first:last]
     if time_s.size < 2:
         return 0.0
-    turned = np.linalg.norm(integral(time_s, rate), axis=1) - _RESTING_RADPS * (time_s - time_s[0])
+    turned = np.linalg.norm(integral(time_s, rate), axis=1) - usual.repeats.resting_radps * (
+        time_s - time_s[0]
+    )
     return max(float(turned.max()), 0.0)
 
 
@@ -99,7 +91,7 @@ def _lattice(field: FloatArray) -> float:
         if levels.size > 0.5 * len(field):
             return 0.0
         gaps.append(np.diff(levels))
-        if levels.size >= _FEWEST_LEVELS:
+        if levels.size >= usual.steps.fewest_levels:
             steps.append(float(np.quantile(gaps[-1], 0.05)))
     if not steps or min(steps) <= 0.0 or max(steps) > 1.05 * min(steps):
         return 0.0
@@ -121,7 +113,7 @@ def coarse_step(raw_mgauss: FloatArray, valid: NDArray[np.bool_]) -> float:
     anything, and those of four positions on eight levels or so.
     """
     field = raw_mgauss[valid]
-    if len(field) < 10 * _FEWEST_LEVELS:
+    if len(field) < 10 * usual.steps.fewest_levels:
         return 0.0
     span = float(np.abs(field).max())
     least = 1 << math.ceil(math.log2(2.0 * span / _BIN_MGAUSS + 2.0))
@@ -135,25 +127,29 @@ def coarse_step(raw_mgauss: FloatArray, valid: NDArray[np.bool_]) -> float:
         inside = wave if inside is None else np.minimum(inside, wave)
     assert inside is not None
     frequency = np.fft.rfftfreq(length, _BIN_MGAUSS)
-    usable = (frequency >= 1.0 / _COARSEST_MGAUSS) & (frequency <= 1.0 / _FINEST_MGAUSS)
+    usable = (frequency >= 1.0 / usual.steps.coarsest_mgauss) & (frequency <= 1.0 / usual.steps.finest_mgauss)
     best = float(inside[usable].max(initial=0.0))
-    if best < _IN_STEP:
+    if best < usual.steps.in_step:
         return 0.0
     # Multiples of the right frequency are as good: the coarsest step is meant, at the top of its peak.
-    good = np.flatnonzero(usable & (inside >= max(_IN_STEP, _AS_GOOD * best)))
+    good = np.flatnonzero(usable & (inside >= max(usual.steps.in_step, usual.steps.as_good * best)))
     first = int(good[0])
     last = first
-    while last + 1 < inside.size and inside[last + 1] >= _IN_STEP:
+    while last + 1 < inside.size and inside[last + 1] >= usual.steps.in_step:
         last += 1
     step = 1.0 / float(frequency[first + int(np.argmax(inside[first : last + 1]))])
     levels = [_levels(column, step) for column in field.T]
-    return step if max(levels) >= _FEWEST_LEVELS or sum(levels) >= _FEWEST_TOGETHER else 0.0
+    return (
+        step
+        if max(levels) >= usual.steps.fewest_levels or sum(levels) >= usual.steps.fewest_together
+        else 0.0
+    )
 
 
 def _levels(column: FloatArray, step_mgauss: float) -> int:
     """Count the steps on which more than a few readings lie."""
     _, counts = np.unique(np.round(column / step_mgauss), return_counts=True)
-    return int((counts >= max(_WORTH_A_LEVEL * column.size, 2.0)).sum())
+    return int((counts >= max(usual.steps.worth_a_level * column.size, 2.0)).sum())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,7 +176,7 @@ class Readings:
     ) -> Readings:
         """Compare readings (M, 3) with their nominal simulation."""
         turning = np.linalg.norm(np.gradient(nominal, time_s, axis=0), axis=1)
-        slow = turning <= np.quantile(turning[valid], _QUIET_SHARE) if valid.any() else valid
+        slow = turning <= np.quantile(turning[valid], usual.scatter.quiet_share) if valid.any() else valid
         quiet = valid & slow
         quiet[1:-1] &= (valid & slow)[:-2] & (valid & slow)[2:]
         quiet[[0, -1]] = False

@@ -18,8 +18,6 @@ from mavcompass.earth_field import middle_place
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, rotate, rotate_back, wrap_pi
 from mavcompass.gap.attitude.reference import (
-    SLOWEST_GYRO_S,
-    UNKNOWN_YAW_RAD,
     Choice,
     Reference,
     reference_attitude,
@@ -164,7 +162,7 @@ def replay(
         swings, told_s = swing(rows.time_s, raw, upright, slopes, known, rows.width)
         # What moves or is switched does so when readings are taken: means are put there, if these come often
         # enough to tell it.
-        often = float(np.median(np.diff(rows.time_s))) <= SLOWEST_GYRO_S
+        often = float(np.median(np.diff(rows.time_s))) <= usual.gyro.slowest_s
         told_s = (told_s if late_s is None else late_s) if rows.telemetry and often else 0.0
     told, taken_s = whole, rows.time_s - told_s
     whole = told.earlier(rows.time_s, told_s)
@@ -333,7 +331,7 @@ def _nuisances(
         field = stimulus.field_ned_mgauss[0]
         offset = math.atan2(field[1], field[0]) - math.atan2(world[1], world[0])
         mean, sigma = np.zeros((2, 1 + reference.curves_rad.shape[2]))
-        mean[0] = float(wrap_pi(offset)) if constant > UNKNOWN_YAW_RAD else 0.0
+        mean[0] = float(wrap_pi(offset)) if constant > usual.yaw.unknown_rad else 0.0
         sigma[:], sigma[0] = 1.0, max(constant, 1e-9)
         effect = reference_attitude_error(reference.curves_rad, reference.with_yaw)
         found.append(Nuisance.of(effect, mean, sigma))

@@ -21,14 +21,13 @@ import numpy as np
 from mavcompass.correction import IDENTITY, FieldCorrection, MotorSource
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
 from mavcompass.gap.attitude.kinematics import exponentials
-from mavcompass.gap.attitude.reference import UNKNOWN_YAW_RAD
+from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S, late_field
 from mavcompass.simulation.effects.effect import Effect, Memory, Parameter, Rng, Signals, Stage
 
 _TURNS = 6
 REFERENCE_YAW, TELEMETRY_AGE = "reference yaw", "telemetry age"
 IRON_MATRIX, IRON_OFFSET = "iron matrix in force", "iron offset in force"
-_LEAST_VARIATION = 0.2
 _ENTRIES = tuple(f"{row}{column}" for row in "xyz" for column in "xyz")
 
 
@@ -139,7 +138,7 @@ def yaw_starts(nuisances: Sequence[Nuisance]) -> list[tuple[FloatArray, ...]]:
     """List where to start a fit that may turn the attitude: from the prior; all around if that is wide."""
     means = tuple(n.mean for n in nuisances)
     for place, nuisance in enumerate(nuisances):
-        if nuisance.effect.id == REFERENCE_YAW and nuisance.precision[0, 0] < 1.0 / UNKNOWN_YAW_RAD**2:
+        if nuisance.effect.id == REFERENCE_YAW and nuisance.precision[0, 0] < 1.0 / usual.yaw.unknown_rad**2:
             starts = []
             for turn in np.arange(_TURNS) * 2.0 * np.pi / _TURNS:
                 mean = nuisance.mean.copy()
@@ -219,7 +218,7 @@ class KnownIron:
         if self.load.any():
             varies = float(np.ptp(self.load))
             # A load that is always the same tells nothing: its field is part of the offset.
-            told = varies > _LEAST_VARIATION * abs(float(self.load.mean()))
+            told = varies > usual.present.load_share * abs(float(self.load.mean()))
             sigma = np.concatenate([sigma, np.full(3, trust.motor_mgauss / varies if told else 1e-6)])
         return matrix, Nuisance.of(self._offset_effect(), np.zeros(sigma.size), sigma)
 

@@ -23,16 +23,8 @@ from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
 from mavcompass.simulation.effects.sampling import at_times
 from mavcompass.track import MagSeries, Track
 
-# A clock is looked for in pieces, since no clock is even for ever.
-_PIECE_S, _FEWEST = 60.0, 60
 _BIN_S = 1e-3
-# Steps in a row, and how far their mean may be off the clock's.
-_ROW, _NEAR = 8, 0.12
 _ROUNDS, _STEPS = 4, 8
-# Messages that come no oftener than this tell no clock but their own.
-_OFTENER = 0.9
-# So many readings must lie within the step of the messages after a tick, and a bit.
-_WITHIN, _BEYOND = 0.97, 0.05
 
 
 def reading_times(time_s: FloatArray, message_s: float, after_loss: NDArray[np.bool_]) -> FloatArray:
@@ -41,7 +33,7 @@ def reading_times(time_s: FloatArray, message_s: float, after_loss: NDArray[np.b
     `message_s` is the time between messages. What follows no even clock stays as it is, and so does what came
     `after_loss` (N,): it may be older than the others, and where messages are lost no attitude is known.
     """
-    pieces = max(math.ceil(float(time_s[-1] - time_s[0]) / _PIECE_S), 1)
+    pieces = max(math.ceil(float(time_s[-1] - time_s[0]) / usual.clock.piece_s), 1)
     edges = np.searchsorted(time_s, np.linspace(time_s[0], time_s[-1], pieces + 1)[1:-1])
     read = np.concatenate([_on_the_clock(piece, message_s) for piece in np.split(time_s, edges)])
     # The first message has a reading that is older, too.
@@ -51,20 +43,20 @@ def reading_times(time_s: FloatArray, message_s: float, after_loss: NDArray[np.b
 
 
 def _on_the_clock(time_s: FloatArray, message_s: float) -> FloatArray:
-    if time_s.size < _FEWEST:
+    if time_s.size < usual.clock.fewest:
         return time_s
     # Of some steps in a row the quicker ones: where none was lost.
-    mean = float(np.quantile(time_s[_ROW:] - time_s[:-_ROW], 0.1)) / _ROW
+    mean = float(np.quantile(time_s[usual.clock.row :] - time_s[: -usual.clock.row], 0.1)) / usual.clock.row
     since = time_s - time_s[0]
     length = int(2 ** math.ceil(math.log2(2.0 * since[-1] / _BIN_S)))
     ticks = np.bincount(np.round(since / _BIN_S).astype(np.int64), minlength=length)
     hertz = np.fft.rfftfreq(length, _BIN_S)
-    near = np.abs(hertz * mean - 1.0) < _NEAR
+    near = np.abs(hertz * mean - 1.0) < usual.clock.near
     if not near.any():
         return time_s
     best = float(hertz[near][int(np.argmax(np.abs(np.fft.rfft(ticks))[near]))])
     mirrored = 1.0 / message_s - best
-    if abs(mirrored * mean - 1.0) < _NEAR:
+    if abs(mirrored * mean - 1.0) < usual.clock.near:
         # Of messages twice as often as readings the mirror image is as sharp: which one goes on as they do?
         steps = np.diff(time_s)
         on = float(np.mean(steps[steps < 1.8 * np.median(steps)]))
@@ -76,32 +68,18 @@ def _on_the_clock(time_s: FloatArray, message_s: float) -> FloatArray:
         beside /= _STEPS
     # New readings come within a step of the messages after a tick: the rest of the time between two is empty.
     phase = np.sort((since * best) % 1.0)
-    kept = math.ceil(_WITHIN * phase.size) - 1
+    kept = math.ceil(usual.clock.within * phase.size) - 1
     width = np.append(phase, phase + 1.0)[kept : kept + phase.size] - phase
     first = int(np.argmin(width))
-    if message_s * best > _OFTENER or width[first] > message_s * best + _BEYOND:
+    if message_s * best > usual.clock.oftener or width[first] > message_s * best + usual.clock.beyond:
         return time_s
     # In the middle of what is empty one tick ends and the next one begins.
     age = (since * best - phase[first] + 0.5 * (1.0 - width[first])) % 1.0
     return np.asarray(time_s - (age - age.mean()) / best)
 
 
-FEWEST_ROWS, FEWEST_NEW = 60, 30
-# Beside a laboratory's attitude single readings tell more than beside one that wanders itself. In flight
-# fewer are enough, where each recording keeps so many and loads do not change much meanwhile.
-_MOST_ROWS, _MOST_ROWS_IN_FLIGHT, _ENOUGH, _KEPT, _LONGEST_S = 3_000, 1_600, 800, 250, 0.2
-_SLOWER_SHARE = 0.3
-# Messages so much further apart have lost some between them.
-_LOST = 1.5
-# Where fewer messages bring a new reading, they come more often than readings.
-_BROUGHT_NEW = 0.9
-_EVEN_RHYTHM = 0.4
 # How late readings may be when their means are made, in seconds.
 _LATE_S = np.arange(0.0, LONGEST_LAG_S, 0.02)
-# A swing of less tells nothing.
-_LEAST_SWING_MGAUSS = 0.01
-# So many steps without a reading are a silence.
-_SILENCE = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,13 +128,13 @@ def compass_rows(
             # A reading that is sent again says nothing new; one that is frozen for longer is a finding of its
             # own. Coarse numbers repeat by chance.
             fresh = ~logged.stale
-            if fresh.sum() < FEWEST_NEW and fresh.size >= FEWEST_ROWS and logged.frozen:
+            if fresh.sum() < usual.rows.fewest_new and fresh.size >= usual.rows.fewest and logged.frozen:
                 # What says one thing as long as it is asked is frozen: that is the finding.
                 fresh = np.ones_like(fresh)
             keep, raw = keep[fresh], raw[fresh]
         time_s = compass.time_s[keep]
-        if step == 0.0 and fresh.sum() < _BROUGHT_NEW * fresh.size:
-            lost = np.diff(compass.time_s, prepend=compass.time_s[0]) > _LOST * message_s
+        if step == 0.0 and fresh.sum() < usual.messages.brought_new * fresh.size:
+            lost = np.diff(compass.time_s, prepend=compass.time_s[0]) > usual.messages.lost * message_s
             time_s = reading_times(time_s, message_s, lost[keep])
     inside = any(step.correction != IDENTITY for step in compass.in_force)
     calibrated = compass.correction_known and (compass.not_applied is not None or inside)
@@ -169,7 +147,7 @@ def compass_rows(
         usable = np.asarray(finite & ~trace.stale)
     # A sensor that stays brings little that is new, which is a finding and no lack of readings.
     few = int(usable.sum())
-    if few < (FEWEST_NEW if reported.shape[0] >= FEWEST_ROWS else FEWEST_ROWS):
+    if few < (usual.rows.fewest_new if reported.shape[0] >= usual.rows.fewest else usual.rows.fewest):
         raise BadRecording(
             f"{track.source or 'The recording'} has {few} readings of compass {compass.instance}, too few.",
             _more_readings(track, few),
@@ -183,7 +161,7 @@ def compass_rows(
 def _more_readings(track: Track, few: int) -> str:
     """Say what would have more readings."""
     most, instance = max((len(compass.reported), i) for i, compass in track.compasses.items())
-    if most > max(few, FEWEST_ROWS):
+    if most > max(few, usual.rows.fewest):
         return f"Compass {instance} has {most}: choose it with --compass {instance}, or record for longer."
     return "Record at least half a minute of turning."
 
@@ -199,14 +177,15 @@ def shared_period_s(tracks: Sequence[Track], instance: int) -> float:
         if instance in track.compasses and len(track.compasses[instance].reported) > 1
     ]
     needed_s = max(
-        (_period_s(t, _MOST_ROWS if lab else _MOST_ROWS_IN_FLIGHT) for t, lab in recorded), default=0.0
+        (_period_s(t, usual.rows.most if lab else usual.rows.most_in_flight) for t, lab in recorded),
+        default=0.0,
     )
     if any(lab for _, lab in recorded):
         return needed_s
-    enough_s = max((_period_s(time_s, _ENOUGH) for time_s, _ in recorded), default=0.0)
-    enough_s = max(needed_s, min(enough_s, _LONGEST_S))
+    enough_s = max((_period_s(time_s, usual.rows.enough) for time_s, _ in recorded), default=0.0)
+    enough_s = max(needed_s, min(enough_s, usual.rows.longest_s))
     kept = min((time_s.size / _odd_width(time_s, enough_s) for time_s, _ in recorded), default=0.0)
-    return enough_s if kept >= _KEPT else needed_s
+    return enough_s if kept >= usual.rows.kept else needed_s
 
 
 def _period_s(time_s: FloatArray, most: int) -> float:
@@ -240,7 +219,7 @@ def unbroken(time_s: FloatArray, width: int) -> NDArray[np.bool_]:
     Meanwhile the field turns far more than between neighbours, which alone show how readings follow it.
     """
     steps = np.diff(time_s)
-    broken = steps > _SILENCE * float(np.median(steps))
+    broken = steps > usual.messages.silence * float(np.median(steps))
     count = np.concatenate([[0, 0], np.cumsum(broken)])
     half, at = width // 2, np.arange(time_s.size)[middles(time_s.size, width)]
     return np.asarray(count[at + half + 1] == count[at - half + 1])
@@ -265,10 +244,10 @@ def swing(
     usable = usable & np.isfinite(swings).all(axis=1) & np.isfinite(upright_mgauss).all(axis=1)
     # What was before the first reading, and in a silence, is not known.
     steps = np.diff(time_s, prepend=-np.inf)
-    silent = steps > max(LONGEST_LAG_S, _SILENCE * float(np.median(steps)))
+    silent = steps > max(LONGEST_LAG_S, usual.messages.silence * float(np.median(steps)))
     begins = time_s[np.maximum.accumulate(np.where(silent, np.arange(time_s.size), 0))]
     usable &= time_s - begins >= LONGEST_LAG_S
-    least = max(usable.sum(), 1) * _LEAST_SWING_MGAUSS**2 * np.eye(3)
+    least = max(usable.sum(), 1) * usual.rows.least_swing_mgauss**2 * np.eye(3)
     found, likeliest = np.zeros_like(raw_mgauss), np.full(3, np.inf)
     together, late_s = math.inf, 0.0
     for tried_s in _LATE_S.tolist():
@@ -293,7 +272,7 @@ def _slower_than_logged(is_fresh: NDArray[np.bool_]) -> bool:
     Readings that are lost by chance repeat in runs of all lengths.
     """
     fresh = np.flatnonzero(is_fresh)
-    if fresh.size < FEWEST_ROWS or fresh.size > (1.0 - _SLOWER_SHARE) * is_fresh.size:
+    if fresh.size < usual.rows.fewest or fresh.size > (1.0 - usual.messages.slower_share) * is_fresh.size:
         return False
     gaps = np.diff(fresh)
-    return float(gaps.std()) < _EVEN_RHYTHM * float(gaps.mean())
+    return float(gaps.std()) < usual.messages.even_rhythm * float(gaps.mean())

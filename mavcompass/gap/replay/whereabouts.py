@@ -12,19 +12,9 @@ from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, rotate
 from mavcompass.gap.attitude.receiver import local_position
 from mavcompass.gap.attitude.reference import Reference
-from mavcompass.gap.replay.rows import FEWEST_ROWS
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.physics.signals import Stimulus
 from mavcompass.track import Series, Track
-
-# The standard deviation of a path beside which the errors of a measured position are small.
-_LEAST_PATH_M = 0.05
-_TURNING_RAD = math.radians(25.0)
-_TILT_RAD = math.radians(4.0)
-_LEAST_CLIMB_M = 4.0
-# What a load must at least vary by to be told from everything else that happens meanwhile.
-_LEAST_RANGE = {"current": 0.5, "throttle": 0.05, "temperature": 3.0}
-_YEAR_WHERE_UNKNOWN = 2026.5
 
 
 def position_of(track: Track, reference: Reference) -> Series | None:
@@ -42,7 +32,7 @@ def goes_about(position: Series | None, reference: Reference) -> bool:
         return False
     spread = np.nanstd(position.values, axis=0)
     if reference.kind == "columns":
-        return float(spread.max()) > _LEAST_PATH_M
+        return float(spread.max()) > usual.present.path_m
     return float(spread.max()) > usual.receiver.path_m
 
 
@@ -55,21 +45,24 @@ def present_in(
     """
     present = set()
     for name, values in stimulus.loads.items():
-        if np.isfinite(values).any() and float(np.ptp(values[np.isfinite(values)])) > _LEAST_RANGE[name]:
+        if (
+            np.isfinite(values).any()
+            and float(np.ptp(values[np.isfinite(values)])) > usual.present.load[name]
+        ):
             present.add(name)
-    if stimulus.motors.size and float(np.ptp(stimulus.motors, axis=0).max()) > _LEAST_RANGE["throttle"]:
+    if stimulus.motors.size and float(np.ptp(stimulus.motors, axis=0).max()) > usual.present.load["throttle"]:
         present.add("motors")
     if goes_about:
         present.add("position")
-    if float(np.ptp(stimulus.position_ned_m[:, 2])) > _LEAST_CLIMB_M:
+    if float(np.ptp(stimulus.position_ned_m[:, 2])) > usual.present.climb_m:
         present.add("height")
     rotation = stimulus.rotation[valid]
     if len(rotation):
         ahead = rotation[:, :2, 0] / np.maximum(np.linalg.norm(rotation[:, :2, 0], axis=1), 1e-9)[:, None]
-        if float(np.hypot(*np.mean(ahead, axis=0))) < math.cos(_TURNING_RAD):
+        if float(np.hypot(*np.mean(ahead, axis=0))) < math.cos(usual.present.turning_rad):
             present.add("turning")
         spread = np.sqrt(np.var(rotation[:, 2, 0]) + np.var(rotation[:, 2, 1]))
-        if spread > math.sin(_TILT_RAD):
+        if spread > math.sin(usual.present.tilt_rad):
             present.add("tilt")
     if reference.kind == "columns":
         present.add("reference")
@@ -82,7 +75,7 @@ def world_field(
     """Return the field in NED, its sigma, and what to say about it."""
     if track.place is not None and np.isfinite(track.place.values).all(axis=1).any():
         lat, lon, alt = middle_place(track.place.values)
-        year = decimal_year(track.utc_offset_s) if track.utc_offset_s else _YEAR_WHERE_UNKNOWN
+        year = decimal_year(track.utc_offset_s) if track.utc_offset_s else usual.place.year
         earth = earth_field(round(lat, 5), round(lon, 5), round(alt, 1), round(year, 3))
         refined = _measured_by_others(track, instance, time_s, reference, earth.vector_mgauss)
         if refined is not None:
@@ -121,7 +114,7 @@ def _measured_by_others(
     seen = []
     level = float(np.hypot(model[0], model[1]))
     for number, compass in track.compasses.items():
-        if number == instance or not compass.correction_known or len(compass.reported) < FEWEST_ROWS:
+        if number == instance or not compass.correction_known or len(compass.reported) < usual.rows.fewest:
             continue
         values = track.centred(number).corrected_field(number)
         world = rotate(

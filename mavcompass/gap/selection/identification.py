@@ -32,6 +32,7 @@ from mavcompass.gap.selection.split import (
     with_moments,
     with_windows,
 )
+from mavcompass.gap.tables import usual
 from mavcompass.gap.traces.traces import Traces
 from mavcompass.simulation.effects.effect import LIMIT, Effect
 from mavcompass.simulation.physics.signals import Reading
@@ -39,11 +40,7 @@ from mavcompass.simulation.physics.signals import Reading
 _LEAST_MGAUSS = 0.3
 _SEED = 20260102
 _PASSES = 2
-# What is switched is told better once it is told: so often, while it takes this share of the rows more.
-_CALMINGS, _FEW = 3, 0.01
 _CLOSINGS_IN = 6
-# What leaves no more than this many times as much is no worse.
-_NO_WORSE = 1.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,13 +129,13 @@ def identify(
     result, own = _searched(replay, floor, split, effects, 1 if noise_known else _PASSES)
     none: Mask = np.zeros(replay.time_s.size, dtype=np.bool_)
     changing, switching, known = none, none, none
-    for _ in range(_CALMINGS):
+    for _ in range(usual.change.most):
         when = moments(result.fit)
         changing = changing | transients(result.problem, result.fit, when)
         switching = switching | switched(result.problem, result.fit)
         aside = changing | switching
         again = bool(known.any())
-        if aside.sum() - known.sum() <= (_FEW * aside.size if again else 0):
+        if aside.sum() - known.sum() <= (usual.change.few * aside.size if again else 0):
             break
         known = aside
         notes = (*replay.notes, *told(replay, changing, switching))
@@ -151,7 +148,7 @@ def identify(
         calmer, settled = _searched(fewer, start, calm, effects, 1, (result.fit.terms, result.fit.thetas))
         # Under a noise that is known both can be compared.
         still = not (moments(calmer.fit) or switches(calmer.fit))
-        most = _each(result) * (_NO_WORSE if again else 1.0)
+        most = _each(result) * (usual.change.no_worse if again else 1.0)
         if still or (floor.measured and _each(calmer) > most):
             break
         result, own = replace(calmer, fit=with_moments(calmer.problem, calmer.fit, when)), settled

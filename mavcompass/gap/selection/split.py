@@ -18,13 +18,9 @@ from mavcompass.gap.fit.hypothesis import Fit, Mask
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.replay.nuisance import TELEMETRY_AGE
+from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.effect import LAG, MOMENTS, NEVER_S, SMOOTHING
 
-BLOCK_S = 5.0
-GUARD_S = 0.5
-WINDOW_S = 0.3
-_HELD_OUT_OF = 4
-_FEWEST_BLOCKS = 12
 _SEED = 20260101
 
 
@@ -48,13 +44,13 @@ def split_blocks(time_s: FloatArray, valid: Mask) -> Split:
     A regular pattern would fall into step with a procedure that turns and dwells in a fixed rhythm. Two
     neighbours would be too long to know the attitude between. Short recordings get shorter blocks.
     """
-    length = max(min(BLOCK_S, float(time_s[-1] - time_s[0]) / _FEWEST_BLOCKS), 1e-3)
+    length = max(min(usual.split.block_s, float(time_s[-1] - time_s[0]) / usual.split.fewest), 1e-3)
     block = np.floor((time_s - time_s[0]) / length).astype(np.int64)
     count = int(block[-1]) + 1
     held = np.zeros(count, dtype=np.bool_)
     rng = np.random.default_rng(_SEED)
-    for first in range(0, count, _HELD_OUT_OF):
-        place = first + int(rng.integers(_HELD_OUT_OF))
+    for first in range(0, count, usual.split.held_out_of):
+        place = first + int(rng.integers(usual.split.held_out_of))
         if place and held[place - 1 : place].any():
             place += 1
         if place < count:
@@ -63,7 +59,7 @@ def split_blocks(time_s: FloatArray, valid: Mask) -> Split:
     train = ~test
     for edge in np.flatnonzero(np.diff(test.astype(np.int8))):
         boundary = 0.5 * (time_s[edge] + time_s[edge + 1])
-        train &= ~((np.abs(time_s - boundary) < min(GUARD_S, length / 5.0)) & ~test)
+        train &= ~((np.abs(time_s - boundary) < min(usual.split.guard_s, length / 5.0)) & ~test)
     return Split(block, held, train & valid, test & valid)
 
 
@@ -76,8 +72,8 @@ def with_windows(split: Split, time_s: FloatArray, valid: Mask, moments_s: list[
     train, test = split.train.copy(), split.test.copy()
     for moment in moments_s:
         distance = np.abs(time_s - moment)
-        train |= (distance < WINDOW_S) & valid
-        test &= distance > WINDOW_S + 0.3 * GUARD_S
+        train |= (distance < usual.split.window_s) & valid
+        test &= distance > usual.split.window_s + 0.3 * usual.split.guard_s
     return replace(split, train=train, test=test)
 
 
@@ -88,24 +84,11 @@ def probe(split: Split, time_s: FloatArray, moment_s: float) -> float | None:
     """
     rows = time_s[split.train]
     step = float(np.median(np.diff(time_s)))
-    gaps = np.flatnonzero(np.diff(rows) > 0.5 * GUARD_S + 3.0 * step)
+    gaps = np.flatnonzero(np.diff(rows) > 0.5 * usual.split.guard_s + 3.0 * step)
     for gap in gaps:
-        if rows[gap] - WINDOW_S < moment_s < rows[gap + 1] + WINDOW_S:
+        if rows[gap] - usual.split.window_s < moment_s < rows[gap + 1] + usual.split.window_s:
             return float(0.5 * (rows[gap] + rows[gap + 1]))
     return None
-
-
-_BIN_S = 0.25
-_LONGEST_S = 3.0
-# How much worse than the rest readings must fit, in mean squares, to be part of a change.
-_WORSE = 4.0
-# Loads are recorded ten times a second at best; at least a third of the rows must be clear of switching.
-_LOAD_S, _MOST_SWITCHED = 0.1, 0.67
-# A low pass has settled to a twentieth after so many of its time constants.
-_SETTLED = 3.0
-# What is switched shows in single rows from so many deviations on. A row is off by this share of it, by
-# little more than all, and across it by less than half of that; a tenth of the rows at most.
-_SEEN_APART, _PART, _ALL, _ASIDE, _BY_CHANCE = 6.0, 0.25, 1.2, 0.5, 0.1
 
 
 def moments(fit: Fit, effect_id: str | None = None) -> list[float]:
@@ -135,15 +118,15 @@ def transients(problem: Problem, fit: Fit, when_s: Sequence[float]) -> Mask:
     aside = np.zeros(time.size, dtype=np.bool_)
     if not problem.usable.any():
         return aside
-    usual = float(np.nanmedian(power)) / (chi_square_of(0.5, 3) / 3.0)
-    width = max(_BIN_S, 4.0 * float(np.median(np.diff(time))))
+    median = float(np.nanmedian(power)) / (chi_square_of(0.5, 3) / 3.0)
+    width = max(usual.change.bin_s, 4.0 * float(np.median(np.diff(time))))
     for moment in when_s:
         for side in (-1.0, 1.0):
             reach = 0.0
-            while reach < _LONGEST_S:
+            while reach < usual.change.longest_s:
                 away = side * (time - moment)
                 rows = (away >= reach) & (away < reach + width) & problem.usable
-                if not rows.any() or float(np.mean(power[rows])) < _WORSE * usual:
+                if not rows.any() or float(np.mean(power[rows])) < usual.change.worse * median:
                     break
                 reach += width
             if reach > 0.0:
@@ -161,9 +144,9 @@ def switched(problem: Problem, fit: Fit) -> Mask:
     rows: Mask = np.zeros(time.size, dtype=np.bool_)
     late = (fit.value(LAG) or 0.0) + float(problem.values(fit).get(TELEMETRY_AGE, np.zeros(1))[0])
     fields: list[tuple[FloatArray, FloatArray]] = []
-    width = max(float(np.median(np.diff(time))), replay.loads_every_s, _LOAD_S)
+    width = max(float(np.median(np.diff(time))), replay.loads_every_s, usual.switched.load_s)
     # What is smoothed goes on for as long as that takes.
-    width += _SETTLED * (fit.value(SMOOTHING) or 0.0)
+    width += usual.switched.settled * (fit.value(SMOOTHING) or 0.0)
     for term, theta in zip(fit.terms, fit.thetas, strict=True):
         if term.effect.switched:
             unread = replay.signals.with_mag(np.zeros((time.size, 3)))
@@ -176,7 +159,7 @@ def switched(problem: Problem, fit: Fit) -> Mask:
             fields.append((field, theta[:3]))
     for field, own in fields:
         rows |= _other_way(problem, fit, field, own, rows)
-    return rows if rows[problem.usable].mean() < _MOST_SWITCHED else np.zeros_like(rows)
+    return rows if rows[problem.usable].mean() < usual.switched.most else np.zeros_like(rows)
 
 
 def _other_way(problem: Problem, fit: Fit, field_mgauss: FloatArray, own: FloatArray, shared: Mask) -> Mask:
@@ -188,16 +171,20 @@ def _other_way(problem: Problem, fit: Fit, field_mgauss: FloatArray, own: FloatA
     size = float(np.linalg.norm(own))
     error = problem.replay.measured.mag_mgauss - problem.predict(fit).mag_mgauss
     noise = float(np.sqrt(np.mean(np.nanmedian(error[problem.usable] ** 2, axis=0)) / MEDIAN_OF_SQUARES))
-    if size < _SEEN_APART * noise:
+    if size < usual.switched.seen_apart * noise:
         return np.zeros(len(error), dtype=np.bool_)
     along = error @ own / size**2
     across = np.linalg.norm(error - along[:, None] * own, axis=1)
     on = np.abs(field_mgauss).max(axis=1) > 0.0
     toward = np.where(on, -along, along)
     with np.errstate(invalid="ignore"):
-        rows: Mask = (toward > _PART) & (toward < _ALL) & (across < _ASIDE * toward * size)
+        rows: Mask = (
+            (toward > usual.switched.part)
+            & (toward < usual.switched.whole)
+            & (across < usual.switched.aside * toward * size)
+        )
     clear = problem.usable & ~shared
-    return rows if rows[clear].mean() < _BY_CHANCE else np.zeros_like(rows)
+    return rows if rows[clear].mean() < usual.switched.by_chance else np.zeros_like(rows)
 
 
 def between_rows(problem: Problem, moment_s: float) -> tuple[float, float]:

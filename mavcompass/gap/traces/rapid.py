@@ -14,27 +14,12 @@ import numpy as np
 from mavcompass.frames import FloatArray
 from mavcompass.gap.replay.integrity import Readings
 from mavcompass.gap.replay.rows import averaged
+from mavcompass.gap.tables import usual
 from mavcompass.gap.traces.scattered import excess_variance, quiet_variance
 from mavcompass.simulation.effects import detected_by
 from mavcompass.simulation.effects.effect import FREQUENCY, Detector
 
-# Of the fast excess over the baseline's an effect must hold so much; less beside noise.
-_SHARE, _BESIDE_NOISE = 0.7, 0.25
-# A line at half the rate alternates too: what toggles has fewer parameters, and need not hold quite as much.
-_SIMPLER = 0.05
-_BLOCK = 12
-_SLOW_S = 2.0
-# Below, a vehicle itself swings, and what its attitude is off by with it; what lasts for seconds is slow.
-_LOWEST_HZ = 0.5
 _FINER = 8
-# What is usual near a frequency is told by a band of so many widths of a line.
-_BAND = 24
-# What has so many times the power of its neighbours is no noise, nor a swing; beyond, a line's own skirts
-# are its neighbours. The vehicle's own has this share of its power in the baseline, too, and what its motion
-# makes, as laps do that are driven alike, this share in the nominal field.
-_NO_NOISE, _ITS_OWN, _ITS_MOTION = 100.0, 0.3, 0.05
-# A line's skirts reach so many widths far; another of this share of its power is no part of it.
-_SKIRTS, _ALONE = 10.0, 0.3
 # How much nearer than its width in the spectrum the frequency of a line is sought.
 _STEPS, _ROUNDS = 8, 3
 _WAVES = (*(f"{wave}_{axis}" for wave in ("sin", "cos") for axis in "xyz"), FREQUENCY)
@@ -65,15 +50,15 @@ def find_rapid(readings: Readings, baseline: Readings | None, least_mgauss: floa
 
     Of less than `least_mgauss` rms none is told.
     """
-    if readings.quiet.sum() < 2 * _BLOCK:
+    if readings.quiet.sum() < 2 * usual.rapid.block:
         return None
     fast = _fast(readings)
-    usual = 0.0 if baseline is None else quiet_variance(baseline, _fast(baseline))
-    excess = quiet_variance(readings, fast) - usual
+    before = 0.0 if baseline is None else quiet_variance(baseline, _fast(baseline))
+    excess = quiet_variance(readings, fast) - before
     line, clear = _line(readings, fast)
     clear = clear and line.variance_mgauss2 > least_mgauss**2 and not _is_in(baseline, line)
     toggling = _toggling(readings, fast)
-    alternates = toggling.variance_mgauss2 > (1.0 - _SIMPLER) * line.variance_mgauss2
+    alternates = toggling.variance_mgauss2 > (1.0 - usual.rapid.simpler) * line.variance_mgauss2
     if excess <= least_mgauss**2:  # the baseline is as loud, by something else
         return None if not clear else toggling if alternates else line
 
@@ -81,14 +66,14 @@ def find_rapid(readings: Readings, baseline: Readings | None, least_mgauss: floa
         if rapid.variance_mgauss2 <= least_mgauss**2:
             return 0.0
         left = quiet_variance(readings, fast - _without_slow(readings, rapid.change_mgauss))
-        return 1.0 - (left - usual) / excess
+        return 1.0 - (left - before) / excess
 
-    best = toggling if share(toggling) > max(share(line) - _SIMPLER, 0.0) else line
-    if share(best) > _SHARE:
+    best = toggling if share(toggling) > max(share(line) - usual.rapid.simpler, 0.0) else line
+    if share(best) > usual.rapid.share:
         return best
     if clear and (alternates or best is line):
         return toggling if alternates else line
-    if share(best) < _BESIDE_NOISE or baseline is None:
+    if share(best) < usual.rapid.beside_noise or baseline is None:
         return None
     return best if excess_variance(readings.without(best.change_mgauss), baseline) > 0.0 else None
 
@@ -100,7 +85,7 @@ def _fast(readings: Readings) -> FloatArray:
 
 def _without_slow(readings: Readings, columns: FloatArray) -> FloatArray:
     """Return columns (M, k) without what lasts for seconds."""
-    width = max(2 * round(0.5 * _SLOW_S / readings.period_s) + 1, 5)
+    width = max(2 * round(0.5 * usual.rapid.slow_s / readings.period_s) + 1, 5)
     return columns - averaged(columns, width)
 
 
@@ -112,7 +97,7 @@ def _toggling(readings: Readings, fast: FloatArray) -> Rapid:
     """
     count = np.concatenate([[0], np.cumsum(np.round(np.diff(readings.time_s) / readings.period_s))])
     sign = 1.0 - 2.0 * (count % 2)
-    blocks = np.arange(len(fast)) // _BLOCK
+    blocks = np.arange(len(fast)) // usual.rapid.block
     size = np.bincount(blocks, readings.valid)
     sums = np.stack([np.bincount(blocks, sign * column * readings.valid) for column in fast.T], axis=1)
     _, vectors = np.linalg.eigh((sums / np.maximum(size, 1.0)[:, None]).T @ sums)
@@ -135,14 +120,16 @@ def _line(readings: Readings, fast: FloatArray) -> tuple[Rapid, bool]:
     width = 1.0 / float(since[-1])
     nominal = np.where(rows[:, None], np.nan_to_num(readings.nominal_mgauss), 0.0)
     motion = _loudest_near(_spectrum(readings, _without_slow(readings, nominal))[1], hertz, width)
-    own, outstanding = motion > _ITS_MOTION * power, power / _neighbours(hertz, power, width)
-    loudest = int(np.argmax(np.where(outstanding > _NO_NOISE, power, 0.0)))
+    own, outstanding = motion > usual.line.its_motion * power, power / _neighbours(hertz, power, width)
+    loudest = int(np.argmax(np.where(outstanding > usual.line.no_noise, power, 0.0)))
     # Beside a line of the motion's, what that makes of other errors has lines at its harmonics.
-    loud = bool(outstanding[loudest] > _NO_NOISE and not own[loudest])
+    loud = bool(outstanding[loudest] > usual.line.no_noise and not own[loudest])
     at = loudest if loud else int(np.argmax(np.where(own, 0.0, outstanding)))
     # And a load that comes and goes evenly has several.
-    others = (outstanding > _NO_NOISE) & ~own & (np.abs(hertz - hertz[at]) > _SKIRTS * width)
-    clear = loud and float(power[others].max(initial=0.0)) < _ALONE * power[at]
+    others = (
+        (outstanding > usual.line.no_noise) & ~own & (np.abs(hertz - hertz[at]) > usual.line.skirts * width)
+    )
+    clear = loud and float(power[others].max(initial=0.0)) < usual.line.alone * power[at]
     best = float(hertz[at])
     for _ in range(_ROUNDS):
         tried = best + width * np.linspace(-1.0, 1.0, 2 * _STEPS + 1)
@@ -189,7 +176,7 @@ def _spectrum(readings: Readings, fast: FloatArray) -> tuple[FloatArray, FloatAr
     for column in fast.T:
         power += np.abs(np.fft.rfft(np.bincount(at, column * rows, minlength=length))) ** 2
     hertz = np.asarray(np.fft.rfftfreq(length, step), np.float64)
-    within = (hertz > _LOWEST_HZ) & (hertz < 0.5 / readings.period_s)
+    within = (hertz > usual.line.lowest_hz) & (hertz < 0.5 / readings.period_s)
     return hertz[within], power[within] * 2.0 / (3.0 * max(int(rows.sum()), 1) ** 2)
 
 
@@ -199,14 +186,14 @@ def _is_in(baseline: Readings | None, line: Rapid) -> bool:
         return False
     hertz, power = _spectrum(baseline, _fast(baseline))
     near = np.abs(hertz - line.parameters[FREQUENCY]) < 2.0 / float(np.ptp(baseline.time_s))
-    return bool((power[near] > _ITS_OWN * line.variance_mgauss2).any())
+    return bool((power[near] > usual.line.its_own * line.variance_mgauss2).any())
 
 
 def _neighbours(hertz: FloatArray, power: FloatArray, width_hz: float) -> FloatArray:
     """Return a spectrum's (K,) usual power near each frequency: medians of bands, joined by lines."""
-    bands = np.array_split(np.arange(hertz.size), max(int(np.ptp(hertz) / (_BAND * width_hz)), 1))
-    usual = [np.median(power[band]) for band in bands]
-    return np.maximum(np.interp(hertz, [hertz[band].mean() for band in bands], usual), 1e-12)
+    bands = np.array_split(np.arange(hertz.size), max(int(np.ptp(hertz) / (usual.line.band * width_hz)), 1))
+    medians = [np.median(power[band]) for band in bands]
+    return np.maximum(np.interp(hertz, [hertz[band].mean() for band in bands], medians), 1e-12)
 
 
 def _loudest_near(power: FloatArray, hertz: FloatArray, width_hz: float) -> FloatArray:

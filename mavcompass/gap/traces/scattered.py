@@ -8,29 +8,13 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.replay.integrity import Readings
+from mavcompass.gap.tables import usual
 
-# How much larger than a baseline's the variance of the scatter must be where noise is not known in detail,
-# and where a vehicle circles evenly: readings of one that is never quiet scatter by nature.
-_DOUBTFUL_EXCESS, _NEVER_QUIET_EXCESS = 1.0, 5.0
-# White noise scatters alike between neighbours and between readings further apart, and at all times.
-_UNLIKE, _SPANS, _UNSTEADY = 2.0, 8, 4.0
 # Second differences of white noise so many readings apart have no reading in common. Their correlation is
 # zero but for chance (within three sigmas), whose variance over their number is 1 + 2 (4/6)^2 + 2 (1/6)^2
 # (Bartlett, Suppl. J. Royal Stat. Soc. 8, 1946).
 _OF_NEIGHBOURS = 35.0 / 18.0
-_LAGS, _RELATED, _BY_CHANCE = (3, 4, 5), 0.2, 3.0 * math.sqrt(_OF_NEIGHBOURS)
-_FEWEST = 20
-# Noise of a sensor's axes hardly goes together.
-_TOGETHER = 0.8
-# How many times the usual a reading must stand off its neighbours to be one of a burst, which share of all
-# must, and how many times the baseline's; so many readings beside a swing of the vehicle may be of it.
-_FAR_OFF, _FEW_WRONG, _MORE_BURSTS, _BESIDE = 6.0, 0.015, 4.0, 3
-# Where a vehicle is now quieter, now faster, a third of the readings is quiet, and so are their neighbours.
-_LEAST_QUIET = 0.15
-# A vehicle that turns evenly, beside the scatter, for so much of the time hardly swings.
-_EVEN = 0.9
-# Noise scatters along the field as across it: of its variance at least this share.
-_ALONG = 0.5
+_LAGS, _BY_CHANCE = (3, 4, 5), 3.0 * math.sqrt(_OF_NEIGHBOURS)
 
 
 def quiet_variance(readings: Readings, values: FloatArray) -> float:
@@ -46,20 +30,20 @@ def excess_variance(readings: Readings, baseline: Readings, repeats: bool = Fals
     """
     now, before = quiet_scatter(readings), quiet_scatter(baseline)
     excess = now**2 - before**2
-    quiet = float(readings.quiet.mean()) > _LEAST_QUIET and not repeats
-    least = _DOUBTFUL_EXCESS if quiet else _NEVER_QUIET_EXCESS
+    quiet = float(readings.quiet.mean()) > usual.scatter.least_quiet and not repeats
+    least = usual.scatter.doubtful if quiet else usual.scatter.never_quiet
     if excess <= least * max(before, 1e-9) ** 2:
         return 0.0
     # White noise scatters as much between readings further apart. Of the two estimates the larger one is
     # nearer: what wanders in the baseline is taken off both.
     further = quiet_scatter(readings, 2) ** 2 - quiet_scatter(baseline, 2) ** 2
-    white = excess / _UNLIKE < further < _UNLIKE * excess
+    white = excess / usual.scatter.unlike < further < usual.scatter.unlike * excess
     noise = white and _unrelated(readings) and _steady(readings, excess) and _of_each_axis(readings)
     along = (
         _usual(_along_field(readings)[readings.quiet]) ** 2
         - _usual(_along_field(baseline)[baseline.quiet]) ** 2
     )
-    return max(excess, further) if noise and along > _ALONG * excess else 0.0
+    return max(excess, further) if noise and along > usual.scatter.along * excess else 0.0
 
 
 def burst_mgauss(readings: Readings, baseline: Readings) -> float:
@@ -69,12 +53,12 @@ def burst_mgauss(readings: Readings, baseline: Readings) -> float:
     recording, a scatter whose variance along the field is more than twice the baseline's. 0 where there are
     not far more such readings than in the baseline, or than a few that went wrong.
     """
-    (now, along), (before, usual) = _off_neighbours(readings), _off_neighbours(baseline)
+    (now, along), (before, beside) = _off_neighbours(readings), _off_neighbours(baseline)
     share, size = _standing_off(now)
-    burst = size if share > max(_FEW_WRONG, _MORE_BURSTS * _standing_off(before)[0]) else 0.0
-    if min(len(now) / len(readings.valid), len(before) / len(baseline.valid)) < _EVEN:
+    burst = size if share > max(usual.bursts.few_wrong, usual.bursts.more * _standing_off(before)[0]) else 0.0
+    if min(len(now) / len(readings.valid), len(before) / len(baseline.valid)) < usual.bursts.even:
         return burst
-    if np.mean(along**2) <= (1.0 + _DOUBTFUL_EXCESS) * np.mean(usual**2):
+    if np.mean(along**2) <= (1.0 + usual.scatter.doubtful) * np.mean(beside**2):
         return burst
     return max(burst, math.sqrt(max(float(np.mean(now**2) - np.mean(before**2)), 0.0)))
 
@@ -87,7 +71,9 @@ def _off_neighbours(readings: Readings) -> tuple[FloatArray, FloatArray]:
     both[[0, -1]] = False
     off = np.abs(neighbours(readings.error_mgauss))
     swings = np.linalg.norm(neighbours(readings.nominal_mgauss), axis=1)
-    beside = np.max([np.roll(swings, shift) for shift in range(-_BESIDE, _BESIDE + 1)], axis=0)
+    beside = np.max(
+        [np.roll(swings, shift) for shift in range(-usual.bursts.beside, usual.bursts.beside + 1)], axis=0
+    )
     both &= beside < float(np.linalg.norm(_usual(off[both])))
     return off[both], _along_field(readings)[both]
 
@@ -95,11 +81,11 @@ def _off_neighbours(readings: Readings) -> tuple[FloatArray, FloatArray]:
 def _standing_off(off: FloatArray) -> tuple[float, float]:
     """Return the share of readings (M, 3) that are off by many times what most are, on any axis, and what
     they add to the rms of all, in mG."""
-    if len(off) <= _FEWEST:
+    if len(off) <= usual.scatter.fewest:
         return 0.0, 0.0
-    usual = _usual(off)
+    most = _usual(off)
     # Of coarse numbers most differ by nothing.
-    far = np.any(off > np.where(usual > 0.0, _FAR_OFF * usual, np.inf), axis=1)
+    far = np.any(off > np.where(most > 0.0, usual.bursts.far_off * most, np.inf), axis=1)
     return float(far.mean()), float(np.sqrt(np.mean((off * far[:, None]) ** 2)))
 
 
@@ -116,7 +102,7 @@ def quiet_scatter(readings: Readings, apart: int = 1) -> float:
     """Return the scatter between readings some steps apart in mG, robustly, on the quieter ones."""
     both = readings.quiet.copy()
     both[:apart] = both[both.size - apart :] = False
-    if both.sum() <= _FEWEST:
+    if both.sum() <= usual.scatter.fewest:
         return 0.0
     return float(np.sqrt(np.mean(_usual(neighbours(readings.error_mgauss, apart)[both]) ** 2)))
 
@@ -154,8 +140,8 @@ def _unrelated(readings: Readings) -> bool:
         both = quiet[lag:] & quiet[:-lag]
         one, other = second[lag:][both], second[:-lag][both]
         size = math.sqrt(float(np.sum(one**2) * np.sum(other**2)))
-        related = max(_RELATED, _BY_CHANCE / math.sqrt(max(one.size, 1)))
-        if both.sum() > _FEWEST and abs(float(np.sum(one * other))) > related * size:
+        related = max(usual.scatter.related, _BY_CHANCE / math.sqrt(max(one.size, 1)))
+        if both.sum() > usual.scatter.fewest and abs(float(np.sum(one * other))) > related * size:
             return False
     return True
 
@@ -165,11 +151,15 @@ def _of_each_axis(readings: Readings) -> bool:
     second = neighbours(readings.error_mgauss)[readings.quiet]
     square = second.T @ second
     size = np.sqrt(np.maximum(np.diag(square), 1e-300))
-    return bool(np.abs(np.triu(square / np.outer(size, size), 1)).max() < _TOGETHER)
+    return bool(np.abs(np.triu(square / np.outer(size, size), 1)).max() < usual.scatter.together)
 
 
 def _steady(readings: Readings, excess: float) -> bool:
     """Tell whether the scatter stays alike all the time."""
     square = np.mean(neighbours(readings.error_mgauss)[readings.quiet] ** 2, axis=1)
-    spans = [float(np.mean(part)) for part in np.array_split(square, _SPANS) if part.size >= _FEWEST]
-    return not spans or max(spans) < _UNSTEADY * max(min(spans), 0.25 * excess)
+    spans = [
+        float(np.mean(part))
+        for part in np.array_split(square, usual.scatter.spans)
+        if part.size >= usual.scatter.fewest
+    ]
+    return not spans or max(spans) < usual.scatter.unsteady * max(min(spans), 0.25 * excess)

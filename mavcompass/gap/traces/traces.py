@@ -11,38 +11,16 @@ import numpy as np
 from mavcompass.frames import FloatArray
 from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.result import Cause
+from mavcompass.gap.tables import usual
 from mavcompass.gap.traces.rapid import Rapid, find_rapid
 from mavcompass.gap.traces.scattered import burst_mgauss, excess_variance
 from mavcompass.simulation.effects import Effect, detected_by
-
-# MAVLink's messages and ArduPilot's parameters count whole milligauss.
-_USUAL_STEP_MGAUSS = 1.0 + 1e-6
-_REPEATS_WORTH_NAMING = 0.003
-# A sensor's steps are told from those of the messages only where they are far coarser: in units of the noise
-# that rounding to the messages' makes.
-_MUCH_COARSER = 14.0
-# Autopilots read their compass ten times a second and repeat it meanwhile; a rest may look like a repeat.
-# While the field changes by this, or the vehicle turns so far, a live sensor changes too.
-_MOVED_MGAUSS, _TURNED_RAD = 5.0, math.radians(2.0)
-_TELEMETRY_HOLDS_S, _FAR_LONGER = 0.3, 1.5
-# New readings come as they do in the baseline: so many of its steps, of as many messages, and what is more.
-_FEWEST_NEW, _SAME_RHYTHM, _LOST, _NEARLY_ALL, _FAR_MORE = 100, 0.1, 1.5, 0.995, 3.0
-# In units of the noise that rounding makes: two whole numbers.
-_CHANGED = 7.0
-_MISSED_TWICE = 3
-# Messages as often as readings fall beside them now and then: one reading in two of them.
-_SEEN_TWICE_S = 0.2
-# An effect of less than this share of the floor lifts nothing above it.
-_MATERIAL = 0.75
-# Less than this share of what was taken out may be what the times of its readings make of it.
-_OF_RAPID = 0.5
-_MOST_RAPID = 2
 
 
 def names_stale(replay: Replay, baseline: Replay | None) -> bool:
     """Tell whether the repeats are an effect: more than by chance, than the baseline's, than telemetry's."""
     if replay.telemetry:
-        return stale_share(replay, baseline) > _REPEATS_WORTH_NAMING
+        return stale_share(replay, baseline) > usual.repeats.worth_naming
     found, nominal = replay.trace, baseline.trace if baseline is not None else None
     expected = nominal.stale_share if nominal is not None else 0.0
     coarse = found.step_mgauss > 0.0 or replay.resolution_mgauss > 0.0
@@ -51,7 +29,7 @@ def names_stale(replay: Replay, baseline: Replay | None) -> bool:
         return False
     count = found.stale.size
     noise = math.sqrt(max(expected * (1.0 - expected), 1.0 / count) / count)
-    return found.stale_share > max(_REPEATS_WORTH_NAMING, expected + 5.0 * noise)
+    return found.stale_share > max(usual.repeats.worth_naming, expected + 5.0 * noise)
 
 
 def stale_share(replay: Replay, baseline: Replay | None) -> float:
@@ -68,17 +46,23 @@ def _frozen_share(replay: Replay, baseline: Replay | None) -> float:
     still repeats itself for as long, and coarse numbers for as long as the field stays within their step.
     """
     trace = replay.trace
-    usual = _TELEMETRY_HOLDS_S
+    longest = usual.repeats.telemetry_holds_s
     if baseline is not None and baseline.telemetry and baseline.trace.held_s.size:
-        usual = max(
-            float(baseline.trace.held_s.max()), _SEEN_TWICE_S, 0.5 * float(np.median(np.diff(replay.time_s)))
+        longest = max(
+            float(baseline.trace.held_s.max()),
+            usual.repeats.seen_twice_s,
+            0.5 * float(np.median(np.diff(replay.time_s))),
         )
     # Coarse numbers change only with the field, and how the last one would have changed nobody knows.
     steps = 2.0 * trace.step_mgauss
-    missed = trace.jump_mgauss > max(_MOVED_MGAUSS, steps)
-    if steps > _MOVED_MGAUSS:
+    missed = trace.jump_mgauss > max(usual.repeats.moved_mgauss, steps)
+    if steps > usual.repeats.moved_mgauss:
         missed &= np.isfinite(trace.jump_mgauss)
-    held = trace.held_s[missed & (trace.turned_rad > _TURNED_RAD) & (trace.held_s > _FAR_LONGER * usual)]
+    held = trace.held_s[
+        missed
+        & (trace.turned_rad > usual.repeats.moved_rad)
+        & (trace.held_s > usual.repeats.far_longer * longest)
+    ]
     span = float((trace.fresh_s + trace.held_s).max(initial=replay.time_s[-1]) - replay.time_s[0])
     return min(float(held.sum()) / max(span, 1e-9), 1.0)
 
@@ -91,15 +75,20 @@ def _overdue_share(replay: Replay, baseline: Replay | None) -> float:
     if baseline is None or not baseline.telemetry or _steps_of(replay) != _steps_of(baseline):
         return 0.0
     (now, step), (before, usual_step) = _between_new(replay), _between_new(baseline)
-    if min(now.size, before.size) < _FEWEST_NEW or abs(step / usual_step - 1.0) > _SAME_RHYTHM:
+    if (
+        min(now.size, before.size) < usual.overdue.fewest
+        or abs(step / usual_step - 1.0) > usual.overdue.same_rhythm
+    ):
         return 0.0
-    longest = max(float(np.quantile(before, _NEARLY_ALL)) + 0.5 * usual_step, 1.5 * float(before.mean()))
-    usual = (float(np.sum(before > longest)) + 1.0) / before.size
+    longest = max(
+        float(np.quantile(before, usual.overdue.nearly_all)) + 0.5 * usual_step, 1.5 * float(before.mean())
+    )
+    expected = (float(np.sum(before > longest)) + 1.0) / before.size
     late = float(np.mean(now > longest))
-    if late < _FAR_MORE * usual + 5.0 * math.sqrt(usual / now.size):
+    if late < usual.overdue.far_more * expected + 5.0 * math.sqrt(expected / now.size):
         return 0.0
     # A sensor about as fast as its messages drifts against them: it misses one now and then, never two.
-    if np.sum(now > longest + usual_step) < _MISSED_TWICE:
+    if np.sum(now > longest + usual_step) < usual.overdue.missed_twice:
         return 0.0
     return max(1.0 - float(before.mean()) / float(now.mean()), 0.0)
 
@@ -111,12 +100,14 @@ def _between_new(replay: Replay) -> tuple[FloatArray, float]:
     """
     trace, nominal = replay.trace, replay.readings.nominal_mgauss
     between = np.diff(trace.fresh_s)
-    if between.size < _FEWEST_NEW or len(nominal) != trace.fresh_s.size:
+    if between.size < usual.overdue.fewest or len(nominal) != trace.fresh_s.size:
         return np.zeros(0), 1.0
     silent = between - trace.held_s[:-1]
     step = float(np.median(silent))
     changed = np.abs(np.diff(nominal, axis=0)).max(axis=1) * float(np.median(between)) / between
-    told = (silent < _LOST * step) & (changed >= _CHANGED * replay.resolution_mgauss)
+    told = (silent < usual.messages.lost * step) & (
+        changed >= usual.overdue.changed * replay.resolution_mgauss
+    )
     return between[told], step
 
 
@@ -156,9 +147,9 @@ def stale_doubt(replay: Replay, share: float) -> float:
 def names_step(replay: Replay, baseline: Replay | None, noise_mgauss: float) -> bool:
     """Tell whether the step of the numbers is an effect: coarse beside the noise, and not nominal."""
     found, nominal = replay.trace, baseline.trace if baseline is not None else None
-    if found.step_mgauss <= _MUCH_COARSER * replay.resolution_mgauss:
+    if found.step_mgauss <= usual.steps.much_coarser * replay.resolution_mgauss:
         return False
-    if found.step_mgauss <= _USUAL_STEP_MGAUSS:
+    if found.step_mgauss <= usual.steps.of_messages_mgauss:
         return False
     if nominal is not None and nominal.step_mgauss > 0.9 * found.step_mgauss:
         return False
@@ -203,15 +194,15 @@ def find_traces(
     readings, before = replay.readings, None if baseline is None else baseline.readings
     rapid: tuple[Rapid, ...] = ()
     if step == 0.0 and not (exact and replay.averaged == 1):
-        for _ in range(_MOST_RAPID):
-            found = find_rapid(readings, before, _MATERIAL * floor_mgauss)
+        for _ in range(usual.rapid.most):
+            found = find_rapid(readings, before, usual.rapid.material * floor_mgauss)
             if found is None:
                 break
             rapid, readings = (*rapid, found), readings.without(found.change_mgauss)
     # What may not be named stays in the readings, but it is no noise either.
     excess = 0.0 if before is None else excess_variance(readings, before, stale > 0.0)
     # Where nobody says when a reading was taken, what a line leaves may be the times.
-    if replay.telemetry and excess < _OF_RAPID * sum(one.variance_mgauss2 for one in rapid):
+    if replay.telemetry and excess < usual.rapid.of_times * sum(one.variance_mgauss2 for one in rapid):
         excess = 0.0
     named = tuple(one for one in rapid if one.effect in names)
     unexplained = "frequency" if len(named) < len(rapid) else ""
@@ -228,7 +219,7 @@ def find_traces(
         name = steps.names[0]
         causes.append(Cause.told(steps.id, {name: step}, {name: step_doubt}, step / math.sqrt(12.0)))
     causes += [Cause.told(r.effect, r.parameters, r.sigma, math.sqrt(r.variance_mgauss2)) for r in rapid]
-    if before is not None and burst_mgauss(readings, before) > _MATERIAL * floor_mgauss:
+    if before is not None and burst_mgauss(readings, before) > usual.rapid.material * floor_mgauss:
         unexplained = "time"
     return Traces(stale, step, rapid, excess, unexplained, tuple(causes)), replay
 
