@@ -123,6 +123,35 @@ def cross(first: FloatArray, second: FloatArray) -> FloatArray:
     return out
 
 
+def rotvec_to_matrix(vectors_rad: ArrayLike) -> FloatArray:
+    """Return the rotations (..., 3, 3) by vectors (..., 3), about them by their lengths.
+
+    Rodrigues' formula: I + f K + g K^2, K taking the cross product with the vector.
+    """
+    vectors = np.asarray(vectors_rad, dtype=np.float64)
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    half = 0.5 * np.maximum(np.sqrt(np.einsum("...i,...i->...", vectors, vectors)), 1e-9)
+    # f = sin a / a, and g = (1 - cos a) / a^2 without a difference of what is nearly the same.
+    sine = np.sin(half) / half
+    f, g = sine * np.cos(half), 0.5 * sine * sine
+    gx, gy, gz, fx, fy, fz = g * x, g * y, g * z, f * x, f * y, f * z
+    xx, yy, zz, xy, xz, yz = gx * x, gy * y, gz * z, gx * y, gx * z, gy * z
+    out = np.empty((*vectors.shape, 3))
+    out[..., 0, 0], out[..., 0, 1], out[..., 0, 2] = 1.0 - yy - zz, xy - fz, xz + fy
+    out[..., 1, 0], out[..., 1, 1], out[..., 1, 2] = xy + fz, 1.0 - xx - zz, yz - fx
+    out[..., 2, 0], out[..., 2, 1], out[..., 2, 2] = xz - fy, yz + fx, 1.0 - xx - yy
+    return out
+
+
+def matrix_to_rotvec(rotations: FloatArray) -> FloatArray:
+    """Return the vectors (N, 3) that rotations (N, 3, 3) turn about: the inverse of `rotvec_to_matrix`."""
+    axis = 0.5 * (rotations[:, [2, 0, 1], [1, 2, 0]] - rotations[:, [1, 2, 0], [2, 0, 1]])
+    sine = np.sqrt(np.einsum("ni,ni->n", axis, axis))
+    angle = np.arctan2(sine, 0.5 * (np.einsum("nii->n", rotations) - 1.0))
+    factor = np.where(sine > 1e-9, angle / np.where(sine > 1e-9, sine, 1.0), 1.0)
+    return np.asarray(axis * factor[:, None])
+
+
 def tilt_from_acceleration(acceleration_mps2: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Read roll and pitch off the specific force of a vehicle at rest, shape (..., 3).
 

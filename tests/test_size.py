@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 # At most so many lines now, and where they should get to. A number here falls with its room; who raises one
 # says why in the commit.
 LINES = {
-    "package gap": (14_320, 10_500),
+    "package gap": (14_050, 10_500),
     "package simulation": (7_850, 5_800),
     "package attitude calibration heading": (9_100, 5_400),
     "package vehicle messages enums.py": (7_690, 5_200),
@@ -18,7 +18,7 @@ LINES = {
     "package service": (5_400, 4_100),
     "package logs": (4_480, 3_600),
     "package cli": (4_060, 2_900),
-    "package": (66_540, 46_500),
+    "package": (66_280, 46_500),
     "tests": (43_870, 29_000),
     "scripts": (8_630, 4_400),
 }

@@ -11,8 +11,8 @@ from mavcompass.errors import UsageError
 from mavcompass.gap.answer.decision import decide
 from mavcompass.gap.answer.description import describe
 from mavcompass.gap.answer.evidence import Evidence
-from mavcompass.gap.attitude.reference import Choice
-from mavcompass.gap.attitude.steering import sensor_faults, steered_by
+from mavcompass.gap.attitude.reference import Choice, steered_by
+from mavcompass.gap.attitude.sensors import sensor_faults
 from mavcompass.gap.left.adequacy import doubting, judge
 from mavcompass.gap.left.floor import Floor, foreseen, from_recording
 from mavcompass.gap.left.taught import from_baseline
@@ -20,8 +20,7 @@ from mavcompass.gap.replay.nominal import Replay, replay
 from mavcompass.gap.replay.rows import shared_period_s
 from mavcompass.gap.replay.testable import half_testable, untestable_effects
 from mavcompass.gap.result import Diagnosis
-from mavcompass.gap.selection.identification import Remainder, identify, what_is_left, with_white
-from mavcompass.gap.selection.posterior import Identified
+from mavcompass.gap.selection.identification import Identified, Remainder, identify, what_is_left, with_white
 from mavcompass.gap.selection.split import split_blocks
 from mavcompass.gap.traces.traces import Traces, find_traces, searched
 from mavcompass.simulation.effects import Effect, catalogue
@@ -183,7 +182,7 @@ def _explained(
     remainder = what_is_left(identified, floor, names, traces)
     found = remainder.scatter
     expected = found is not None and found.white if white > 0.0 else found is None
-    if expected or (white == 0.0 and not identified.found.best.terms):
+    if expected or (white == 0.0 and not identified.fit.terms):
         return identified, remainder, floor
     # Extra scatter makes every gain look larger than it is: choose again under it.
     noisy = replace(floor, noise=remainder.problem.noise)

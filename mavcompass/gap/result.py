@@ -98,31 +98,40 @@ class Flight:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Iron:
+    """Hold what a vehicle makes of a field: raw = A field + b + motor load.
+
+    Attributes:
+        matrix: A (3, 3). offset_mgauss: b (3,). motor_mgauss: the field per unit of the motors' load, (3,).
+    """
+
+    matrix: FloatArray
+    offset_mgauss: FloatArray
+    motor_mgauss: FloatArray
+
+    def changed(self, matrix: FloatArray, offset_mgauss: FloatArray, motor_mgauss: FloatArray) -> Iron:
+        """Return A (1 + E) for E, (9,) or (3, 3), with more of offset and motors, (3,) each."""
+        bent = self.matrix @ (np.eye(3) + matrix.reshape(3, 3))
+        return Iron(bent, self.offset_mgauss + offset_mgauss, self.motor_mgauss + motor_mgauss)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Cured:
-    """Hold the vehicle's iron as its calibration, and its baseline, describe it: raw = A field + b + motor
-    load.
+    """Hold the vehicle's iron as its calibration, and its baseline, describe it.
 
     Attributes:
         calibrated: False where no calibration is in force.
-        hard_iron_mgauss, matrix, motor_mgauss: b (3,), A (3, 3) and the field per unit of motor load (3,)
-            that the calibration in force cures.
-        tuned_hard_iron_mgauss, tuned_matrix, tuned_motor_mgauss: the same with what the recordings add to it.
-        taught_hard_iron_mgauss, taught_matrix, taught_motor_mgauss: how much of that the baseline alone
-            showed beside its calibration; of the matrix the change, relative to A.
+        cures: what the calibration in force cures. tuned: the same with what the recordings add to it.
+        taught: how much of that the baseline alone showed beside its calibration; of the matrix the change,
+            relative to A.
         motor_source: the load that the motor term goes with.
         sigma_heading_deg: how far the calibration may be off, in heading.
     """
 
     calibrated: bool
-    hard_iron_mgauss: FloatArray
-    matrix: FloatArray
-    motor_mgauss: FloatArray
-    tuned_hard_iron_mgauss: FloatArray
-    tuned_matrix: FloatArray
-    tuned_motor_mgauss: FloatArray
-    taught_hard_iron_mgauss: FloatArray
-    taught_matrix: FloatArray
-    taught_motor_mgauss: FloatArray
+    cures: Iron
+    tuned: Iron
+    taught: Iron
     motor_source: MotorSource
     sigma_heading_deg: float
 
@@ -130,9 +139,9 @@ class Cured:
         """Return the cures for machines."""
         return {
             "cures": {
-                "hard_iron": self.hard_iron_mgauss.tolist(),
-                "matrix": self.matrix.tolist(),
-                "motor": self.motor_mgauss.tolist(),
+                "hard_iron": self.cures.offset_mgauss.tolist(),
+                "matrix": self.cures.matrix.tolist(),
+                "motor": self.cures.motor_mgauss.tolist(),
             },
             "sigma_heading_deg": self.sigma_heading_deg,
         }
@@ -141,12 +150,13 @@ class Cured:
         """Say in a line what the calibration cures; None where there is nothing to say."""
         if not self.calibrated:
             return None
-        said = f"hard iron ({_listed(self.hard_iron_mgauss, 0)}) mG"
-        if not np.allclose(self.matrix, np.eye(3), atol=1e-6):
-            said += f", gains {_listed(np.diag(self.matrix), 3)}"
-        if np.abs(self.motor_mgauss).max() > 0.0:
+        iron = self.cures
+        said = f"hard iron ({_listed(iron.offset_mgauss, 0)}) mG"
+        if not np.allclose(iron.matrix, np.eye(3), atol=1e-6):
+            said += f", gains {_listed(np.diag(iron.matrix), 3)}"
+        if np.abs(iron.motor_mgauss).max() > 0.0:
             unit = "mG per A" if self.motor_source == "current" else "mG at full throttle"
-            said += f", motors ({_listed(self.motor_mgauss, 1)}) {unit}"
+            said += f", motors ({_listed(iron.motor_mgauss, 1)}) {unit}"
         return said
 
 

@@ -23,8 +23,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.fleet.examine import Job, Row, rows_of
 from mavcompass.fleet.population import Distribution, learn
 from mavcompass.gap.trial.vehicles.draw import Vehicle, draw_vehicle
-from mavcompass.gap.trial.vehicles.effects.kind import changed_rms, sized
-from mavcompass.gap.trial.vehicles.effects.known import FIELDS
+from mavcompass.gap.trial.vehicles.effects.known import FIELDS, changed_rms, sized
 from mavcompass.gap.trial.vehicles.motion import MOTIONS, move
 from mavcompass.gap.trial.vehicles.record import record
 from mavcompass.gap.trial.vehicles.scene import Effect, loads_of, scene_of

@@ -16,8 +16,7 @@ import pytest
 from mavcompass.cli.main import main
 from mavcompass.errors import BadRecording, UsageError
 from mavcompass.gap import Diagnosis, diagnose_gap
-from mavcompass.gap.export.ardupilot import ardupilot_sitl
-from mavcompass.gap.export.others import preset
+from mavcompass.gap.export.simulators import ardupilot_sitl, preset
 from mavcompass.gap.export.vehicle import Found, affine_map, settings_of
 from mavcompass.gap.trial.cases import Recipe, draw_label, make_track, stimulus_of, tracks_of
 from mavcompass.logs import write_track_csv

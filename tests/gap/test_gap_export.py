@@ -13,7 +13,7 @@ import pytest
 
 from mavcompass.frames import FloatArray, euler_to_matrix
 from mavcompass.gap.export import TARGETS, Found, found_in, known_to
-from mavcompass.gap.result import Belief, Cause, Cured
+from mavcompass.gap.result import Belief, Cause, Cured, Iron
 from mavcompass.simulation import effects
 from mavcompass.simulation.effects import catalogue
 from mavcompass.simulation.effects.effect import Distortion, Setting, Signals
@@ -179,13 +179,11 @@ def test_the_script_makes_the_field_that_our_own_effect_makes(effect_id: str, ti
 
 def test_what_the_calibration_cures_is_added_to_what_was_found() -> None:
     from mavcompass.gap.export.vehicle import vehicle_settings
-    from mavcompass.gap.result import Cured
 
-    iron = Cured(
-        True, np.zeros(3), np.eye(3), np.zeros(3), np.array([4.0, 0.0, 9.0]), np.eye(3),
-        np.array([1.0, 2.0, -3.0]), np.array([1.0, 0.0, 7.0]), np.zeros((3, 3)), np.array([0.5, 0.0, 0.0]),
-        "current", 1.0,
-    )  # fmt: skip
+    none = Iron(np.eye(3), np.zeros(3), np.zeros(3))
+    tuned = Iron(np.eye(3), np.array([4.0, 0.0, 9.0]), np.array([1.0, 2.0, -3.0]))
+    taught = Iron(np.zeros((3, 3)), np.array([1.0, 0.0, 7.0]), np.array([0.5, 0.0, 0.0]))
+    iron = Cured(True, none, tuned, taught, "current", 1.0)
     cause = Cause("motor_current", {"x": 0.5, "y": -1.0, "z": 0.25}, {}, 1.0, ())
     diagnosis = SimpleNamespace(causes=(cause,), in_force=iron, beliefs=())
     offset, motors = vehicle_settings(diagnosis)  # type: ignore[arg-type]
@@ -212,11 +210,12 @@ def test_an_export_holds_a_motors_field_that_is_known_to_differ_from_zero(
 ) -> None:
     from mavcompass.gap.export.vehicle import vehicle_settings
 
-    motor, tuned = np.array([0.0, calibrated, 0.0]), np.array([0.0, told, 0.0])
-    none, whole = np.zeros(3), np.eye(3)
-    iron = Cured(
-        True, none, whole, motor, np.ones(3), whole, tuned, none, np.zeros((3, 3)), none, "current", 1.0
+    none = Iron(np.zeros((3, 3)), np.zeros(3), np.zeros(3))
+    cures, tuned = (
+        Iron(np.eye(3), np.array([one, one, one]), np.array([0.0, motor, 0.0]))
+        for one, motor in ((0.0, calibrated), (1.0, told))
     )
+    iron = Cured(True, cures, tuned, none, "current", 1.0)
     likely = Belief(0.9, (), (), np.zeros(18), sigma**2 * np.eye(18))
     beliefs = (Belief(0.1, (), (), np.zeros(18), np.eye(18)), likely)
     diagnosis = SimpleNamespace(causes=(), in_force=iron, beliefs=beliefs)

@@ -10,8 +10,7 @@ import pytest
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap import Diagnosis, diagnose_gap
-from mavcompass.gap.export.ardupilot import ardupilot_sitl
-from mavcompass.gap.export.others import preset
+from mavcompass.gap.export.simulators import ardupilot_sitl, preset
 from mavcompass.gap.export.vehicle import Found, settings_of, vehicle_settings
 from mavcompass.gap.fit.hypothesis import Fit, make_term
 from mavcompass.gap.fit.model import Problem
@@ -65,7 +64,7 @@ def test_iron_that_the_calibration_cures_is_known_and_exported(shared_data: Path
     diagnosis = diagnose_gap(read_track(shared_data / "ardupilot-4.6.3" / "rover_plain.tlog"))
     assert diagnosis.verdict == "no_gap" and not diagnosis.causes
     assert diagnosis.in_force is not None
-    np.testing.assert_allclose(diagnosis.in_force.hard_iron_mgauss, [-5.0, -13.0, 18.0])
+    np.testing.assert_allclose(diagnosis.in_force.cures.offset_mgauss, [-5.0, -13.0, 18.0])
     exported = ardupilot_sitl(Found(vehicle_settings(diagnosis))).parameters
     for axis, true in zip("XYZ", (5.0, 13.0, -18.0), strict=True):
         assert exported[f"SIM_MAG1_OFS_{axis}"] == pytest.approx(true, abs=3.0)
@@ -135,10 +134,10 @@ def with_settings(track: Track, found: list[Setting]) -> tuple[Problem, Fit]:
     replayed = replay(track)
     floor = from_recording(replayed)
     problem = Problem(replayed, floor.noise, replayed.valid, floor.prior)
-    terms = [
-        replace(t, free=np.zeros_like(t.free)) for t in (make_term(s.effect, replayed.signals) for s in found)
-    ]
-    fit = problem.fit(terms, [s.theta for s in found], [n.mean for n in problem.nuisances])
+    made = (make_term(s.effect, replayed.signals) for s in found)
+    terms = tuple(replace(t, free=np.zeros_like(t.free)) for t in made)
+    known = tuple(n.mean for n in problem.nuisances)
+    fit = problem.fit(Fit(terms, tuple(s.theta for s in found), known))
     return problem, fit
 
 

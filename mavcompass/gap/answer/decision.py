@@ -77,7 +77,7 @@ class Answer:
 def decide(evidence: Evidence) -> Answer:
     """Decide what is said."""
     identified, floor, table = evidence.identified, evidence.floor, tables()
-    posterior, none, fit = identified.posterior, identified.found.null, identified.fit
+    posterior, none, fit = identified.posterior, identified.null, identified.fit
     field, heading = figures(evidence, fit, with_scatter=True)
     if evidence.frozen:
         return Answer("named_with_remainder", none, field, heading, (), evidence.adequacy.where)

@@ -36,10 +36,11 @@ from mavcompass.gap.result import (
     Belief,
     Cured,
     Diagnosis,
+    Iron,
     Picture,
     Place,
 )
-from mavcompass.gap.selection.posterior import Identified
+from mavcompass.gap.selection.identification import Identified
 from mavcompass.gap.tables import usual
 from mavcompass.parameter_remarks import remarks_said
 from mavcompass.simulation.effects import Stage, catalogue
@@ -100,32 +101,31 @@ def cured_iron(problem: Problem, fit: Fit, floor: Floor) -> Cured:
     """Collect what the calibration in force cures, and what a fit found it to be."""
     iron = problem.replay.iron
     values = problem.values(fit)
-    change = values.get(IRON_MATRIX, np.zeros(9)).reshape(3, 3)
-    offset = values.get(IRON_OFFSET, np.zeros(3))
-    motor = offset[3:] if offset.size > 3 else np.zeros(3)
     taught = {n.effect.id: n.mean for n in problem.nuisances}
-    there = taught.get(IRON_OFFSET, np.zeros(3))
+    more, there = (
+        (known.get(IRON_MATRIX, np.zeros(9)), *_apart(known.get(IRON_OFFSET, np.zeros(3))))
+        for known in (values, taught)
+    )
     level = level_mgauss(problem.replay)
     total = float(np.linalg.norm(problem.replay.signals.stimulus.field_ned_mgauss[0]))
     trust = floor.trust
     doubted = np.zeros(12) if trust is None else iron.sigma(trust)
-    # Beside a baseline without a calibration the nominal simulation has no iron: all is among the causes.
-    known = IRON_OFFSET in values
     sigma = math.hypot(rms(doubted[:3]), rms(doubted[3:]) * total) / level
+    none = Iron(np.eye(3), np.zeros(3), np.zeros(3))
     return Cured(
         calibrated=iron.calibrated,
-        hard_iron_mgauss=iron.offset_mgauss,
-        matrix=iron.matrix,
-        motor_mgauss=iron.motor_mgauss,
-        tuned_hard_iron_mgauss=iron.offset_mgauss + offset[:3] if known else np.zeros(3),
-        tuned_matrix=iron.matrix @ (np.eye(3) + change) if known else np.eye(3),
-        tuned_motor_mgauss=iron.motor_mgauss + motor if known else np.zeros(3),
-        taught_hard_iron_mgauss=there[:3],
-        taught_matrix=taught.get(IRON_MATRIX, np.zeros(9)).reshape(3, 3),
-        taught_motor_mgauss=there[3:] if there.size > 3 else np.zeros(3),
+        cures=iron,
+        # Beside a baseline without a calibration the nominal simulation has no iron: all is among the causes.
+        tuned=iron.changed(*more) if IRON_OFFSET in values else none,
+        taught=Iron(there[0].reshape(3, 3), *there[1:]),
         motor_source=iron.source,
         sigma_heading_deg=math.degrees(sigma),
     )
+
+
+def _apart(offset_mgauss: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Part what is not known of an offset from what is not known of the motors, if anything, (3,) each."""
+    return offset_mgauss[:3], offset_mgauss[3:] if offset_mgauss.size > 3 else np.zeros(3)
 
 
 def corrected_rms(problem: Problem, fit: Fit, rows: NDArray[np.bool_]) -> float | None:
@@ -139,7 +139,7 @@ def corrected_rms(problem: Problem, fit: Fit, rows: NDArray[np.bool_]) -> float 
         np.zeros_like(theta) if n.effect.id in known else theta
         for n, theta in zip(problem.nuisances, fit.nuisance_thetas, strict=True)
     )
-    raw = problem.predict(Fit((), (), plain, np.inf)).mag_mgauss
+    raw = problem.predict(Fit(nuisance_thetas=plain)).mag_mgauss
     field = replay.iron.field(raw) if any(n.effect.id == IRON_OFFSET for n in problem.nuisances) else raw
     return rms((replay.corrected_mgauss - field)[rows])
 

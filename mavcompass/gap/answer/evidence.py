@@ -22,8 +22,7 @@ from mavcompass.gap.left.floor import Floor, heading_error_rad, heading_scatter,
 from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.replay.nuisance import REFERENCE_YAW
 from mavcompass.gap.result import Bar, Cause, Closing
-from mavcompass.gap.selection.identification import Remainder
-from mavcompass.gap.selection.posterior import Identified
+from mavcompass.gap.selection.identification import Identified, Remainder
 from mavcompass.gap.tables import Kind, tables
 from mavcompass.gap.traces.traces import Traces
 from mavcompass.simulation.effects.effect import LIMIT

@@ -19,7 +19,7 @@ from mavcompass.gap.fit.hypothesis import Fit, make_term
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.left.floor import apart
 from mavcompass.gap.result import Cause, Diagnosis, plain
-from mavcompass.gap.selection.posterior import Identified
+from mavcompass.gap.selection.identification import Identified
 from mavcompass.gap.selection.split import between_rows
 from mavcompass.simulation.effects import get
 from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, Parameter

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mavcompass.frames import FloatArray, cross, euler_to_matrix
+from mavcompass.frames import FloatArray, cross, euler_to_matrix, rotvec_to_matrix
 from mavcompass.simulation.effects.sampling import at_times
 
 _EVEN = 0.05
@@ -23,7 +23,7 @@ def integrated(clock: FloatArray, rate: FloatArray) -> FloatArray:
     even = np.abs(np.stack([step[:-2], step[2:]]) - step[1:-1]).max(axis=0) < _EVEN * step[1:-1]
     mean[1:-1] -= even[:, None] * (rate[3:] - rate[2:-1] - rate[1:-2] + rate[:-3]) / 24.0
     vectors = mean * step[:, None] + np.cross(rate[:-1], rate[1:]) * (step**2 / 12.0)[:, None]
-    return products(exponentials(np.vstack([np.zeros((1, 3)), vectors])))
+    return products(rotvec_to_matrix(np.vstack([np.zeros((1, 3)), vectors])))
 
 
 def integral(clock: FloatArray, values: FloatArray) -> FloatArray:
@@ -60,23 +60,6 @@ def cross_matrices(vectors: FloatArray) -> FloatArray:
     return k
 
 
-def exponentials(vectors: FloatArray) -> FloatArray:
-    """Return the rotations (N, 3, 3) by rotation vectors (N, 3): I + f K + g K^2 (Rodrigues)."""
-    angle = np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
-    half = 0.5 * np.where(angle < 1e-9, 1e-9, angle)
-    # f = sin a / a, and g = (1 - cos a) / a^2 without a difference of what is nearly the same.
-    sine = np.sin(half) / half
-    f, g = sine * np.cos(half), 0.5 * sine * sine
-    x, y, z = vectors.T
-    gx, gy, gz, fx, fy, fz = g * x, g * y, g * z, f * x, f * y, f * z
-    xx, yy, zz, xy, xz, yz = gx * x, gy * y, gz * z, gx * y, gx * z, gy * z
-    out = np.empty((len(vectors), 3, 3))
-    out[:, 0, 0], out[:, 0, 1], out[:, 0, 2] = 1.0 - yy - zz, xy - fz, xz + fy
-    out[:, 1, 0], out[:, 1, 1], out[:, 1, 2] = xy + fz, 1.0 - xx - zz, yz - fx
-    out[:, 2, 0], out[:, 2, 1], out[:, 2, 2] = xz - fy, yz + fx, 1.0 - xx - yy
-    return out
-
-
 def with_down(clock: FloatArray, rate: FloatArray, down: FloatArray) -> FloatArray:
     """Build rotations with the given down vector (N, 3, body axes), turning about it as the rate does.
 
@@ -88,7 +71,7 @@ def with_down(clock: FloatArray, rate: FloatArray, down: FloatArray) -> FloatArr
     # The cross product of neighbours is the rotation vector between them, but for the third power of its
     # size.
     steps = np.vstack([np.zeros((1, 3)), cross(path[:-1], path[1:])])
-    back = products(exponentials(-steps))
+    back = products(rotvec_to_matrix(-steps))
     level = euler_to_matrix(
         math.atan2(down[0, 1], down[0, 2]), math.asin(float(np.clip(-down[0, 0], -1.0, 1.0))), 0.0
     )
@@ -99,17 +82,8 @@ def with_down(clock: FloatArray, rate: FloatArray, down: FloatArray) -> FloatArr
     return np.stack([ahead, cross(down, ahead), down], axis=1)
 
 
-def rotation_vectors(rotations: FloatArray) -> FloatArray:
-    """Return the rotation vectors (N, 3) of rotations (N, 3, 3): the inverse of `exponentials`."""
-    axis = 0.5 * (rotations[:, [2, 0, 1], [1, 2, 0]] - rotations[:, [1, 2, 0], [2, 0, 1]])
-    sine = np.sqrt(np.einsum("ni,ni->n", axis, axis))
-    angle = np.arctan2(sine, 0.5 * (np.einsum("nii->n", rotations) - 1.0))
-    factor = np.where(sine > 1e-9, angle / np.where(sine > 1e-9, sine, 1.0), 1.0)
-    return np.asarray(axis * factor[:, None])
-
-
 def carried(clock: FloatArray, rotation: FloatArray, rate: FloatArray, time_s: FloatArray) -> FloatArray:
     """Carry rotations (N, 3, 3) to other times with the rates (N, 3) from the sample before."""
     left = np.clip(np.searchsorted(clock, time_s, side="right") - 1, 0, clock.size - 1)
     middle_rate = at_times(clock, rate, 0.5 * (time_s + clock[left]))
-    return np.asarray(rotation[left] @ exponentials(middle_rate * (time_s - clock[left])[:, None]))
+    return np.asarray(rotation[left] @ rotvec_to_matrix(middle_rate * (time_s - clock[left])[:, None]))

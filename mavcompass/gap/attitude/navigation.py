@@ -13,16 +13,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.frames import FloatArray, euler_to_matrix
+from mavcompass.frames import FloatArray, euler_to_matrix, rotvec_to_matrix
 from mavcompass.gap.attitude.chain import Solved
 from mavcompass.gap.attitude.kinematics import (
-    exponentials,
     integrated,
     interpolated,
     with_down,
 )
-from mavcompass.gap.attitude.receiver import Velocity, triangle_means
-from mavcompass.gap.attitude.scatter import Bias
+from mavcompass.gap.attitude.sensors import Bias, Velocity, triangle_means
 from mavcompass.gap.attitude.smoother import (
     ACC,
     BIAS,
@@ -93,7 +91,7 @@ def smoothed_attitude(
         solved = smoother.bounded(chain, bound_mps).solve()
         before, trust = trust, smoother.trust(solved)
         phi = solved.states[:, PHI]
-        rotation = smoother.through(exponentials(phi) @ smoother.at_knots(rotation))
+        rotation = smoother.through(rotvec_to_matrix(phi) @ smoother.at_knots(rotation))
         # A yaw that nothing fixes drifts on for ever.
         settled = float(np.abs(phi - phi.mean(axis=0)).max()) < _SETTLED_RAD
         if turn > 0 and settled and float(np.abs(trust - before).max(initial=0.0)) < _AS_TRUSTED:

@@ -19,8 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.errors import BadRecording
-from mavcompass.frames import FloatArray, euler_to_matrix, matrix_to_euler, quaternion_to_matrix
-from mavcompass.gap.attitude.kinematics import carried, rotation_vectors
+from mavcompass.frames import (
+    FloatArray,
+    euler_to_matrix,
+    matrix_to_euler,
+    matrix_to_rotvec,
+    quaternion_to_matrix,
+)
+from mavcompass.gap.attitude.kinematics import carried
 from mavcompass.gap.attitude.navigation import (
     Doubt,
     believable,
@@ -32,18 +38,18 @@ from mavcompass.gap.attitude.navigation import (
     stretched,
     wandering_yaw,
 )
-from mavcompass.gap.attitude.receiver import receiver_velocity
-from mavcompass.gap.attitude.scatter import Bias, bias_at_rest
+from mavcompass.gap.attitude.sensors import Bias, bias_at_rest, receiver_velocity
 from mavcompass.gap.attitude.smoother import Witness
-from mavcompass.gap.attitude.steering import steered_by, told_rotation
 from mavcompass.gap.tables import usual
 from mavcompass.gravity import require_gravity
 from mavcompass.simulation.effects.effect import Detector
 from mavcompass.simulation.effects.sampling import at_times, rotation_at
 from mavcompass.simulation.physics.signals import Turning
-from mavcompass.track import Track
+from mavcompass.steering import steering_source
+from mavcompass.track import Series, Track
 
 ReferenceKind = Literal["columns", "fused", "gps-yaw", "gyro", "attitude"]
+Steering = Literal["own", "other", "unknown"]
 Choice = Literal["auto", "gyro", "gps-yaw", "attitude", "columns"]
 
 _EVERY = slice(None)
@@ -174,12 +180,12 @@ def body_rate(time_s: FloatArray, rotation: FloatArray) -> FloatArray:
     n = len(rotation)
     if n < 5:
         return np.zeros((n, 3))
-    near = rotation_vectors(rotation[:-1].transpose(0, 2, 1) @ rotation[1:]) / np.diff(time_s)[:, None]
+    near = matrix_to_rotvec(rotation[:-1].transpose(0, 2, 1) @ rotation[1:]) / np.diff(time_s)[:, None]
     rate = np.vstack([near[:1], 0.5 * (near[:-1] + near[1:]), near[-1:]])
     step = np.diff(time_s)
     even = np.ptp(np.stack([step[:-3], step[1:-2], step[2:-1], step[3:]]), axis=0) < 0.05 * step[1:-2]
     middle = rotation[2:-2].transpose(0, 2, 1)
-    vectors = [rotation_vectors(middle @ rotation[2 + j : n - 2 + j]) for j in (-2, -1, 1, 2)]
+    vectors = [matrix_to_rotvec(middle @ rotation[2 + j : n - 2 + j]) for j in (-2, -1, 1, 2)]
     span = (time_s[4:] - time_s[:-4])[:, None] / 4.0
     fine = (8.0 * (vectors[2] - vectors[1]) - (vectors[3] - vectors[0])) / (12.0 * span)
     rate[2:-2] = np.where(even[:, None], fine, rate[2:-2])
@@ -251,6 +257,22 @@ def _fused(
         witnessed=bool(told),
         notes=(f"The attitude is the smoothed gyro and accelerometer{by}.",),
     )
+
+
+def told_rotation(attitude_rad: Series, time_s: FloatArray) -> FloatArray:
+    """Return the autopilot's attitude (roll, pitch, yaw) at other times, as rotations (N, 3, 3)."""
+    when, first = np.unique(attitude_rad.time_s, return_index=True)
+    roll, pitch, yaw = attitude_rad.values[first].T
+    angles = Series.of(when, np.stack([roll, pitch, np.unwrap(yaw)], axis=1)).at(time_s)
+    return euler_to_matrix(*angles.T)
+
+
+def steered_by(track: Track, instance: int) -> Steering:
+    """Tell from the parameters whether the compass under test steers the autopilot's yaw."""
+    source = steering_source(track.autopilot, track.parameters)
+    if source is None:
+        return "unknown"
+    return "own" if source == instance else "other"
 
 
 def _autopilot_rotation(track: Track, clock: FloatArray) -> FloatArray | None:

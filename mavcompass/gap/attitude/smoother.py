@@ -7,7 +7,7 @@ Inertial Navigation, section 14.2):
     phi'  = -R (b + diag(w) s)             gyro: bias b, which walks, and scale s
     v'    = R (f - a) + g + phi x R f      accelerometer: bias a, velocity v
     v_receiver = v - late v'               a receiver's velocity is late
-    yaw witness = phi_z + c + e_fast + e_slow + a_1 e_1 + a_2 e_2 ...   its turns (steering.py)
+    yaw witness = phi_z + c + e_fast + e_slow + a_1 e_1 + a_2 e_2 ...   its turns (`remembered_turns`)
 
 What turns forces into velocities is the yaw, too: where a vehicle accelerates, its receiver tells the yaw
 without any compass. Without a receiver the velocity stays within bounds. The whole is linear and normal, is
@@ -22,21 +22,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, matrix_to_rotvec, rotvec_to_matrix
 from mavcompass.gap.attitude.chain import KNOT_S, Chain, Solved, knots_of, silences
 from mavcompass.gap.attitude.kinematics import (
     carried,
     cross_matrices,
-    exponentials,
     integral,
     integrated,
     interpolated,
-    rotation_vectors,
 )
-from mavcompass.gap.attitude.receiver import Velocity
-from mavcompass.gap.attitude.scatter import MEDIAN_OF_SQUARES, Bias, white_floor
-from mavcompass.gap.attitude.steering import TURN_MEMORIES_S, remembered_turns
+from mavcompass.gap.attitude.sensors import MEDIAN_OF_SQUARES, Bias, Velocity, white_floor
 from mavcompass.gap.tables import usual
+from mavcompass.simulation.effects.sampling import first_order_lag
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 _GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
@@ -45,6 +42,8 @@ PHI, BIAS, _V, _FAST, _SLOW, _LEVEL, _STATES = slice(0, 3), slice(3, 6), slice(6
 # Constants: gyro scale, accelerometer bias, the receiver's delay, the witness's constant and its turns.
 SCALE, ACC, _LATE, _OFFSET, _TURNS, _CONSTANTS = slice(0, 3), slice(3, 6), 6, 7, slice(8, 11), 11
 _COVARIANCES, _MOST_SILENCES = 64, 32
+# How long a filter remembers what a turn has made of its yaw: one of these about, none tells.
+_TURN_MEMORIES_S = np.array([2.0, 8.0, 32.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +102,7 @@ class Smoother:
             # How far it turned while nothing was heard, an autopilot knows, whichever compass steers it.
             known = self._is_silent & (self._unturned > usual.autopilot.turn_rad**2)
             turn = self._told[:-1].transpose(0, 2, 1) @ self._told[1:]
-            bent = usual.autopilot.turn_share * np.linalg.norm(rotation_vectors(turn), axis=1)
+            bent = usual.autopilot.turn_share * np.linalg.norm(matrix_to_rotvec(turn), axis=1)
             self._linked = np.where(known[:, None, None], turn, self._turned)
             self._unturned = np.where(known, usual.autopilot.turn_rad**2 + bent**2, self._unturned)
 
@@ -122,7 +121,7 @@ class Smoother:
         before, after, c = _blank(count, 3), _blank(count, 3), np.zeros((count, 3, _CONSTANTS))
         # phi_1 - phi_0 + integral R b + integral R diag(w) s = what the gyro turns beyond the trajectory
         before[:, :, PHI], after[:, :, PHI], before[:, :, BIAS], c[:, :, SCALE] = -unit, unit, turn, gain
-        beyond = rotation_vectors(at[:-1] @ self._linked @ at[1:].transpose(0, 2, 1))
+        beyond = matrix_to_rotvec(at[:-1] @ self._linked @ at[1:].transpose(0, 2, 1))
         chain.link(before, after, c, beyond, 1.0 / angle)
         before, after = _blank(count, 3), _blank(count, 3)
         before[:, :, BIAS], after[:, :, BIAS] = -unit, unit
@@ -197,11 +196,11 @@ class Smoother:
 
     def through(self, rotation: FloatArray) -> FloatArray:
         """Carry rotations of the knots (K, 3, 3) to the gyro's times: between, it turns as the gyro says."""
-        missed = rotation_vectors(rotation[1:] @ (rotation[:-1] @ self._turned).transpose(0, 2, 1))
+        missed = matrix_to_rotvec(rotation[1:] @ (rotation[:-1] @ self._turned).transpose(0, 2, 1))
         left = np.clip(np.searchsorted(self.knots, self.clock, side="right") - 1, 0, self.step.size - 1)
         share = (self.clock - self.knots[left]) / self.step[left]
         since = (rotation[:-1] @ self._still_knots[:-1].transpose(0, 2, 1))[left] @ self._still
-        return np.asarray(exponentials(missed[left] * share[:, None]) @ since)
+        return np.asarray(rotvec_to_matrix(missed[left] * share[:, None]) @ since)
 
     def telling(self) -> NDArray[np.int64]:
         """Return knots (M,) that tell how the error goes: even ones, and the ends of the longest silences."""
@@ -229,7 +228,7 @@ class Smoother:
             [self._scale_sigma, usual.accelerometer.bias_mps2, usual.receiver.late_s, 0.0], [3, 3, 1, 4]
         )
         known[_OFFSET] = min(offset, usual.yaw.lost_rad)
-        known[_TURNS] = np.hypot(self._scale_sigma, usual.autopilot.late_s / TURN_MEMORIES_S)
+        known[_TURNS] = np.hypot(self._scale_sigma, usual.autopilot.late_s / _TURN_MEMORIES_S)
         chain.know(np.zeros(_CONSTANTS), known)
 
     def _add_velocity(self, chain: Chain, seen: Velocity, trust: FloatArray) -> None:
@@ -241,7 +240,7 @@ class Smoother:
     def _add_witness(
         self, chain: Chain, at: FloatArray, told: FloatArray, witness: Witness, turned_rad: FloatArray
     ) -> None:
-        apart = rotation_vectors(told @ at.transpose(0, 2, 1))
+        apart = matrix_to_rotvec(told @ at.transpose(0, 2, 1))
         # Of the level alone, whatever the yaw: down there less down here, in world axes.
         down = np.cross(at[:, 2], told[:, 2])
         apart[:, :2] = -np.einsum("kij,kj->ki", at, down)[:, :2]
@@ -288,6 +287,17 @@ class Smoother:
         size = share * float(np.sqrt(np.mean((values - values.mean(axis=0)) ** 2)))
         silent = np.where(self._is_silent, (size * self.step) ** 2, 0.0)
         return white_floor(values) ** 2 * each_s + walk**2, silent
+
+
+def remembered_turns(time_s: FloatArray, turned_rad: FloatArray) -> FloatArray:
+    """Return how far a vehicle has turned (N,) less what a filter forgot of it, for each memory, (N, 3).
+
+    An autopilot integrates the gyro, whose scale s is off, and follows a compass that is late: its yaw errs
+    by e' = s w - (e + late w) / T, which is s - late / T times what is returned here.
+    """
+    turned = turned_rad[:, None]
+    forgotten = [first_order_lag(time_s, turned, memory_s)[0] for memory_s in _TURN_MEMORIES_S]
+    return np.asarray(turned - np.hstack(forgotten))
 
 
 def _blank(count: int, rows: int) -> FloatArray:

@@ -6,8 +6,7 @@ import math
 from collections.abc import Callable
 from types import MappingProxyType
 
-from mavcompass.gap.export.ardupilot import ardupilot_lua, ardupilot_sitl
-from mavcompass.gap.export.others import gazebo, preset, px4_sitl
+from mavcompass.gap.export.simulators import ardupilot_lua, ardupilot_sitl, gazebo, preset, px4_sitl
 from mavcompass.gap.export.vehicle import (
     Exported,
     Found,

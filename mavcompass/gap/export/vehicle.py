@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from mavcompass.chance import chi_square_of
 from mavcompass.correction import IDENTITY
 from mavcompass.frames import FloatArray
 from mavcompass.gap.replay.nuisance import known_iron
-from mavcompass.gap.result import FIELD, MOTOR, Belief, Cause, Diagnosis
+from mavcompass.gap.result import FIELD, MOTOR, Belief, Cause, Diagnosis, Iron
 from mavcompass.simulation.effects import Setting, get
 from mavcompass.simulation.effects.effect import Distortion, Signals
 from mavcompass.simulation.physics.signals import Stimulus, ideal
@@ -48,13 +48,14 @@ def vehicle_settings(diagnosis: Diagnosis, beside_simulator: bool = False) -> li
     if iron is None:
         return causes
     own = 1.0 if beside_simulator else 0.0
-    matrix = iron.tuned_matrix - own * iron.matrix @ iron.taught_matrix
-    offset = iron.tuned_hard_iron_mgauss - own * iron.taught_hard_iron_mgauss
+    cured, tuned, taught = iron.cures, iron.tuned, iron.taught
+    matrix = tuned.matrix - own * cured.matrix @ taught.matrix
+    offset = tuned.offset_mgauss - own * taught.offset_mgauss
     motor = np.zeros(3)
     if iron.motor_source == "current":
-        added = iron.tuned_motor_mgauss - own * iron.taught_motor_mgauss - iron.motor_mgauss
-        motor = iron.motor_mgauss + (added if _is_known(added, diagnosis.beliefs) else 0.0)
-    return _summed([*_iron(matrix, offset, motor), *causes])
+        added = tuned.motor_mgauss - own * taught.motor_mgauss - cured.motor_mgauss
+        motor = cured.motor_mgauss + (added if _is_known(added, diagnosis.beliefs) else 0.0)
+    return _summed([*_iron(Iron(matrix, offset, motor)), *causes])
 
 
 def _is_known(motor_mgauss: FloatArray, beliefs: Sequence[Belief]) -> bool:
@@ -92,16 +93,15 @@ def nominal_settings(track: Track, instance: int = 1) -> list[Setting]:
     """Return the iron that a recording's calibration in force cures: the vehicle as far as it is known."""
     correction = track.compasses[instance].calibration or IDENTITY
     iron = known_iron(correction, np.zeros(0), correction.motor_source)
-    motor = iron.motor_mgauss if iron.source == "current" else np.zeros(3)
-    return _iron(iron.matrix, iron.offset_mgauss, motor)
+    return _iron(iron if iron.source == "current" else replace(iron, motor_mgauss=np.zeros(3)))
 
 
-def _iron(matrix: FloatArray, offset_mgauss: FloatArray, motor_mgauss: FloatArray) -> list[Setting]:
+def _iron(iron: Iron) -> list[Setting]:
     """Split raw = A field + b + motor current into effects; A = R S, a turn and a symmetric part."""
-    u, sizes, vt = np.linalg.svd(matrix)
+    u, sizes, vt = np.linalg.svd(iron.matrix)
     turn, stretch = u @ vt, vt.T @ np.diag(sizes) @ vt
     vector = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-    offset = turn.T @ offset_mgauss
+    offset = turn.T @ iron.offset_mgauss
     found: dict[str, dict[str, float]] = {}
     if np.abs(offset).max() > 0.0:
         found["hard_iron"] = dict(zip("xyz", offset.tolist(), strict=True))
@@ -111,8 +111,8 @@ def _iron(matrix: FloatArray, offset_mgauss: FloatArray, motor_mgauss: FloatArra
         found["soft_iron"] = {name: float(soft[i, j]) for name, (i, j) in places.items()}
     if float(np.linalg.norm(vector)) > _ROTATION_LEFT_OUT_RAD:
         found["misalignment"] = dict(zip("xyz", vector.tolist(), strict=True))
-    if np.abs(motor_mgauss).max() > 0.0:
-        found["motor_current"] = dict(zip("xyz", motor_mgauss.tolist(), strict=True))
+    if np.abs(iron.motor_mgauss).max() > 0.0:
+        found["motor_current"] = dict(zip("xyz", iron.motor_mgauss.tolist(), strict=True))
     return settings_of(Cause(effect, values, {}, 1.0, ()) for effect, values in found.items())
 
 

@@ -34,31 +34,6 @@ def bridge(valid: NDArray[np.bool_]) -> NDArray[np.int64] | None:
     return np.where(last < 0, int(np.argmax(valid)), last)
 
 
-def moved(
-    x: list[FloatArray],
-    step: FloatArray,
-    free: list[NDArray[np.int64]],
-    bounds: list[tuple[FloatArray, FloatArray]],
-) -> list[FloatArray]:
-    """Add a step to the free parameters; keep all inside their bounds."""
-    out, at = [], 0
-    for value, index, (low, high) in zip(x, free, bounds, strict=True):
-        trial = value.copy()
-        trial[index] += step[at : at + index.size]
-        at += index.size
-        out.append(np.clip(trial, low, high))
-    return out
-
-
-def room(
-    x: list[FloatArray], free: list[NDArray[np.int64]], bounds: list[tuple[FloatArray, FloatArray]]
-) -> tuple[FloatArray, FloatArray]:
-    """Return how far the free parameters may go down and up, (k,) each."""
-    down = [low[index] - value[index] for value, index, (low, _) in zip(x, free, bounds, strict=True)]
-    up = [high[index] - value[index] for value, index, (_, high) in zip(x, free, bounds, strict=True)]
-    return np.concatenate(down), np.concatenate(up)
-
-
 def solve_within(
     normal: FloatArray, gradient: FloatArray, damping: float, down: FloatArray, up: FloatArray
 ) -> FloatArray:

@@ -92,13 +92,13 @@ class Candidates:
         self.list: list[Candidate] = []
         self._columns = 0
         n = len(problem.nuisances)
-        states = problem.composition.states(base.terms, base.thetas, base.nuisance_thetas)
+        states = problem.composition.states(base)
         residual = problem.residual(states[-1].reading)
         kept = {term.effect.id for term in held}
         chosen = [place for place, term in enumerate(base.terms) if term.effect.id not in kept]
         wanted = [*range(n), *(n + place for place in chosen)]
         counts = [problem.prior.mean.size, *(int(base.terms[place].free.sum()) for place in chosen)]
-        columns = problem.columns(base.terms, base.thetas, base.nuisance_thetas, states, wanted)
+        columns = problem.columns(base, states, wanted)
         known, *each = np.split(columns, np.cumsum(counts)[:-1], axis=1)
         parts = [known]
         for place, own in zip(chosen, each, strict=True):
@@ -137,7 +137,7 @@ class Candidates:
         for place, member in enumerate(self.base.terms):
             if member.effect.id == term.effect.id:
                 fit, known = self.base.without(place), self.base.thetas[place]
-                before = problem.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)
+                before = problem.composition.states(fit)
         misfit: Misfit | None = None
         guesses = [term.effect.neutral()]
         if term.effect.starts is not None:
@@ -147,10 +147,9 @@ class Candidates:
         for guess in [placed for g in guesses for placed in placements(term.effect, g, iron)]:
             if misfit is None and known is not None and not _elsewhere(term.effect, guess, known):
                 continue
-            terms, thetas = (*fit.terms, term), (*fit.thetas, guess)
-            states = problem.composition.states(terms, thetas, fit.nuisance_thetas, before)
-            place = len(problem.nuisances) + len(fit.terms)
-            own = problem.columns(terms, thetas, fit.nuisance_thetas, states, [place])
+            begun = fit.beside(term, guess)
+            states = problem.composition.states(begun, before)
+            own = problem.columns(begun, states, [len(problem.nuisances) + len(fit.terms)])
             shift: FloatArray | None = None
             if misfit is not None:
                 shift = problem.shift(states[-1].reading, misfit.signals.reading)
@@ -200,7 +199,7 @@ class Candidates:
             moved = theta + solution.nuisances[at : at + theta.size]
             nuisances.append(np.clip(moved, nuisance.effect.lower, nuisance.effect.upper))
             at += theta.size
-        return Fit((*held.terms, *(c.term for c in chosen)), tuple(thetas), tuple(nuisances), np.inf)
+        return Fit((*held.terms, *(c.term for c in chosen)), tuple(thetas), tuple(nuisances))
 
 
 _BLOCK_S, _MOST_BLOCKS = 5.0, 30

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray, euler_to_matrix
 from mavcompass.gap.attitude.reference import Reference
-from mavcompass.gap.fit.hypothesis import Term
+from mavcompass.gap.fit.hypothesis import Fit, Term
 from mavcompass.gap.replay.noise import group_values
 from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.replay.nuisance import REFERENCE_YAW, TELEMETRY_AGE, Nuisance, turned
@@ -284,16 +284,13 @@ class Composition:
         # Sorting is stable: a nuisance acts before the effects of its stage.
         return sorted(members, key=lambda member: member[0].stage_at(everything[member[1]]))
 
-    def states(
-        self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray],
-        without_last: Sequence[Signals] = (),
-    ) -> list[Signals]:  # fmt: skip
+    def states(self, fit: Fit, without_last: Sequence[Signals] = ()) -> list[Signals]:
         """Return the signals after each member of the composition, the replay's own first.
 
         `without_last` are those without the last of the terms, where they are known.
         """
-        everything = [*nuisance_thetas, *thetas]
-        order = self._ordered(terms, everything)
+        everything = [*fit.nuisance_thetas, *fit.thetas]
+        order = self._ordered(fit.terms, everything)
         states = [self.replay.signals]
         if without_last:
             states = list(without_last[: 1 + [place for _, place in order].index(len(everything) - 1)])
@@ -309,16 +306,13 @@ class Composition:
                 states.append(made_late(before, members, everything) if last else states[-1])
         return states
 
-    def changes(
-        self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray],
-        states: list[Signals], wanted: Sequence[int],
-    ) -> Changes:  # fmt: skip
+    def changes(self, fit: Fit, states: list[Signals], wanted: Sequence[int]) -> Changes:
         """Return the derivatives of the prediction by the free parameters of some members, in their order;
         nothing where there are none."""
-        everything = [*nuisance_thetas, *thetas]
-        order = self._ordered(terms, everything)
+        everything = [*fit.nuisance_thetas, *fit.thetas]
+        order = self._ordered(fit.terms, everything)
         places = {place: at for at, (_, place) in enumerate(order)}
         derivatives = Derivatives(self.replay, order, everything, states)
         for place in wanted:
-            derivatives.by_member(places[place], self.free(terms, place))
+            derivatives.by_member(places[place], self.free(fit.terms, place))
         return derivatives.changes()

@@ -51,19 +51,20 @@ class Term:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """Hold a fitted hypothesis.
+    """Hold a hypothesis, fitted or to begin with.
 
     Attributes:
         terms: its effects, without the nuisances.
         thetas: their parameters; nuisance_thetas: those of the nuisances.
-        sse: whitened sum of squares on the fitted rows plus what the priors of the nuisances cost.
+        sse: whitened sum of squares on the fitted rows plus what the priors of the nuisances cost; infinite
+            where it was not fitted.
         covariance: of the free parameters, nuisances first, then the terms in order.
     """
 
-    terms: tuple[Term, ...]
-    thetas: tuple[FloatArray, ...]
-    nuisance_thetas: tuple[FloatArray, ...]
-    sse: float
+    terms: tuple[Term, ...] = ()
+    thetas: tuple[FloatArray, ...] = ()
+    nuisance_thetas: tuple[FloatArray, ...] = ()
+    sse: float = np.inf
     covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
@@ -87,8 +88,11 @@ class Fit:
             (*self.terms[:place], *self.terms[place + 1 :]),
             (*self.thetas[:place], *self.thetas[place + 1 :]),
             self.nuisance_thetas,
-            np.inf,
         )
+
+    def beside(self, term: Term, theta: FloatArray) -> Fit:
+        """Return the hypothesis with one more effect, not fitted anew."""
+        return Fit((*self.terms, term), (*self.thetas, theta), self.nuisance_thetas)
 
     def value(self, name: str) -> float | None:
         """Return a parameter that means the same in every effect; None where no effect has it."""
@@ -155,11 +159,3 @@ def _is_amplitude(parameter: Parameter) -> bool:
     """Tell amplitudes, for which zero means nothing happens, from places, moments and frequencies."""
     within = parameter.low <= 0.0 < parameter.high
     return within and parameter.unit != "m" and parameter.name not in {*MOMENTS, "reference_degc"}
-
-
-def weak_cost(x: Sequence[FloatArray], free: Sequence[NDArray[np.int64]], weak: FloatArray) -> float:
-    """Return what the weak priors cost: twice the negative logarithm, up to a constant."""
-    if not weak.size:
-        return 0.0
-    values = np.concatenate([v[f] for v, f in zip(x, free, strict=True)])
-    return float(weak @ values**2)

@@ -7,15 +7,15 @@ the likelihood, up to a constant.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcompass.chance import chance_of_more
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit.algebra import bridge, cluster_covariance, invert, moved, room, solve_within
+from mavcompass.gap.fit.algebra import bridge, cluster_covariance, invert, solve_within
 from mavcompass.gap.fit.composition import Changes, Composition
-from mavcompass.gap.fit.hypothesis import CHANCE, Fit, Mask, Term, weak_cost, weak_precision
+from mavcompass.gap.fit.hypothesis import CHANCE, Fit, Mask, weak_precision
 from mavcompass.gap.replay.noise import Noise, group_values
 from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.replay.nuisance import Prior
@@ -29,8 +29,7 @@ _CONVERGED = 0.02
 _TRIALS, _LEAST_DAMPING, _AS_EXPECTED = 4, 1e-3, 0.5
 # After a step by so few squared sigmas derivatives are as good as new.
 _SMALL = 4.0
-# The first nuisance, the world field, is linear; of the others a derivative is as good as new so near, in
-# natural sizes.
+# A derivative by a nuisance is as good as new so near, in natural sizes.
 _NEAR = 2.0
 # What errs together, in seconds.
 _LASTING_S = 10.0
@@ -60,7 +59,10 @@ class Problem:
         self.usable = usable
         self.index = np.flatnonzero(rows & usable)
         self._measured = {g: np.nan_to_num(group_values(replay.measured, g)) for g in self.groups}
-        self._precision, self._scales = prior.precision, [n.effect.scale for n in prior.nuisances]
+        self._precision = prior.precision
+        # The first nuisance, the world field, is linear: its derivatives are always as good as new.
+        sizes = [n.effect.scale if i else np.full(n.mean.size, np.inf) for i, n in enumerate(prior.nuisances)]
+        self._sizes = np.concatenate([np.zeros(0), *sizes])
         self._bridge = bridge(replay.valid) if any(noise[g].moving.any() for g in self.groups) else None
         self._null: Fit | None = None
         self._ended: set[Fit] = set()
@@ -83,12 +85,11 @@ class Problem:
 
     def predict(self, fit: Fit, effects: bool = True) -> Reading:
         """Return what the simulation says under a hypothesis, or under its nuisances alone."""
-        known = fit if effects else Fit((), (), fit.nuisance_thetas, np.inf)
-        return self.signals(known).reading
+        return self.signals(fit if effects else Fit(nuisance_thetas=fit.nuisance_thetas)).reading
 
     def signals(self, fit: Fit) -> Signals:
         """Return the simulated signals under a hypothesis."""
-        return self.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)[-1]
+        return self.composition.states(fit)[-1]
 
     def innovations(self, reading: Reading) -> dict[Group, FloatArray]:
         """Return measured minus predicted, whitened, (N, 3) per sensor."""
@@ -114,28 +115,21 @@ class Problem:
         """Hold values across rows without a reading, so that what is correlated stays so."""
         return values if self._bridge is None else values[self._bridge]
 
-    def columns(
-        self, terms: Sequence[Term], thetas: Sequence[FloatArray], nuisance_thetas: Sequence[FloatArray],
-        states: list[Signals], wanted: Sequence[int],
-    ) -> FloatArray:  # fmt: skip
+    def columns(self, fit: Fit, states: list[Signals], wanted: Sequence[int]) -> FloatArray:
         """Return the derivatives of the whitened prediction by the free parameters of some members.
 
         `wanted` holds places: nuisances first, then terms. One column per free parameter.
         """
-        return self.whitened(self.composition.changes(terms, thetas, nuisance_thetas, states, wanted))
+        return self.whitened(self.composition.changes(fit, states, wanted))
 
     def jacobian(self, fit: Fit) -> FloatArray:
         """Return the derivatives of the whitened prediction by all that a fit may move."""
-        states = self.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)
         n = len(self.nuisances)
-        members = range(n + len(fit.terms))
-        return self.columns(fit.terms, fit.thetas, fit.nuisance_thetas, states, members)
+        return self.columns(fit, self.composition.states(fit), range(n + len(fit.terms)))
 
     def nuisance_changes(self, fit: Fit) -> Changes:
         """Return the derivatives of the prediction by the nuisances' parameters, under a fit."""
-        states = self.composition.states(fit.terms, fit.thetas, fit.nuisance_thetas)
-        places = range(len(self.nuisances))
-        return self.composition.changes(fit.terms, fit.thetas, fit.nuisance_thetas, states, places)
+        return self.composition.changes(fit, self.composition.states(fit), range(len(self.nuisances)))
 
     def whitened(self, changes: Changes) -> FloatArray:
         """Return changes of the prediction as whitened columns, one for each; rows as in `residual`."""
@@ -184,58 +178,69 @@ class Problem:
         does."""
         if self._null is None:
             have = () if near is None else near.nuisance_thetas
-            self._null = self.fit((), (), (*have, *(n.mean for n in self.nuisances[len(have) :])))
+            means = (n.mean for n in self.nuisances[len(have) :])
+            self._null = self.fit(Fit(nuisance_thetas=(*have, *means)))
         return self._null
 
     def refit(self, fit: Fit) -> Fit:
         """Fit the same hypothesis to the rows of this problem, from the values that it has; what came to its
         end here stays."""
-        return fit if fit in self._ended else self.fit(fit.terms, fit.thetas, fit.nuisance_thetas)
+        return fit if fit in self._ended else self.fit(fit)
 
-    def fit(
-        self,
-        terms: Sequence[Term],
-        thetas: Sequence[FloatArray],
-        nuisance_thetas: Sequence[FloatArray],
-        iterations: int = _ITERATIONS,
-    ) -> Fit:
+    def fit(self, start: Fit, iterations: int = _ITERATIONS) -> Fit:
         """Fit from a start by Levenberg and Marquardt; parameters stay inside their physical ranges."""
-        terms = tuple(terms)
-        x = [np.array(t, dtype=np.float64) for t in (*nuisance_thetas, *thetas)]
-        n = len(self.nuisances)
-        free = [self.composition.free(terms, i) for i in range(len(x))]
-        weak = weak_precision(terms)
-        bounds = [(n.effect.lower, n.effect.upper) for n in self.nuisances]
-        bounds += [(t.lower, t.upper) for t in terms]
-        states = self.composition.states(terms, x[n:], x[:n])
+        terms, n = start.terms, len(self.nuisances)
+        none, effects = self._prior[:0], [*(n.effect for n in self.nuisances), *terms]
+        z = np.concatenate([none, *start.nuisance_thetas, *start.thetas])
+        ends = np.cumsum([x.size for x in (*start.nuisance_thetas, *start.thetas)])
+        lower, upper = (
+            np.concatenate([none, *(getattr(e, end) for e in effects)]) for end in ("lower", "upper")
+        )
+        every = np.ones(self._prior.size, dtype=np.bool_)
+        free = np.flatnonzero(np.concatenate([every, *(t.free for t in terms)]))
+        known = self._known(weak_precision(terms))
+        usual = np.append(self._prior, np.zeros(len(known) - every.size))
+
+        def at(z: FloatArray) -> Fit:
+            thetas = np.split(z, ends)
+            return Fit(terms, tuple(thetas[n : n + len(terms)]), tuple(thetas[:n]))
+
+        def cost_of(r: FloatArray, z: FloatArray) -> float:
+            return float(r @ r + (z[free] - usual) @ known @ (z[free] - usual))
+
+        states = self.composition.states(at(z))
         r = self.residual(states[-1].reading)
-        cost = self._cost(r, x, free, weak)
+        cost = cost_of(r, z)
         damping = 1e-6
         normal = np.zeros((0, 0))
-        first, made_at, own, ended = None, x[:n], None, False
+        first, made_at, own, ended = None, z, None, False
         for _ in range(iterations):
-            if first is None or self._away(x[:n], made_at) > _NEAR:
-                first, made_at = self.columns(terms, x[n:], x[:n], states, range(n)), x[:n]
+            if first is None or self._away(z, made_at) > _NEAR:
+                first, made_at = self.columns(at(z), states, range(n)), z
                 squared = first.T @ first
             if own is None:
-                own = self.columns(terms, x[n:], x[:n], states, range(n, n + len(terms)))
-            normal, gradient = self._equations(first, squared, own, r, x, free, weak)
+                own = self.columns(at(z), states, range(n, n + len(terms)))
+            across = first.T @ own
+            normal = np.block([[squared, across], [across.T, own.T @ own]]) + known
+            gradient = np.concatenate([first.T @ r, own.T @ r]) - known @ (z[free] - usual)
             if not normal.size:
                 break
             # Where much is left, the noise is larger than stated, and so is what chance gains.
             gained, least = 0.0, _CONVERGED * max(1.0, cost / max(r.size, 1))
             for _ in range(_TRIALS):
-                step = solve_within(normal, gradient, damping, *room(x, free, bounds))
+                step = solve_within(normal, gradient, damping, (lower - z)[free], (upper - z)[free])
                 expected = float(step @ (2.0 * gradient - normal @ step))
                 if expected < least:
                     break
-                trial = moved(x, step, free, bounds)
-                trial_states = self.composition.states(terms, trial[n:], trial[:n])
+                trial = z.copy()
+                trial[free] += step
+                trial = np.clip(trial, lower, upper)
+                trial_states = self.composition.states(at(trial))
                 trial_r = self.residual(trial_states[-1].reading)
-                trial_cost = self._cost(trial_r, trial, free, weak)
+                trial_cost = cost_of(trial_r, trial)
                 if trial_cost < cost:
                     gained = cost - trial_cost
-                    x, states, r, cost = trial, trial_states, trial_r, trial_cost
+                    z, states, r, cost = trial, trial_states, trial_r, trial_cost
                     damping *= 0.03 if gained > _AS_EXPECTED * expected else 1.0
                     break
                 damping = 30.0 * max(damping, _LEAST_DAMPING)
@@ -246,33 +251,10 @@ class Problem:
             ended = True
             break
         covariance = invert(normal) if normal.size else normal
-        fit = Fit(terms, tuple(x[n:]), tuple(x[:n]), cost, covariance)
+        fit = replace(at(z), sse=cost, covariance=covariance)
         if ended:
             self._ended.add(fit)
         return fit
-
-    def _equations(
-        self,
-        first: FloatArray,
-        squared: FloatArray,
-        own: FloatArray,
-        r: FloatArray,
-        x: list[FloatArray],
-        free: list[NDArray[np.int64]],
-        weak: FloatArray,
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the normal matrix and the gradient, priors included, of derivatives whose first part is
-        `squared` already."""
-        n, n_dim = len(self.nuisances), self._prior.size
-        across = first.T @ own
-        normal = np.block([[squared, across], [across.T, own.T @ own]]) + self._known(weak)
-        gradient = np.concatenate([first.T @ r, own.T @ r])
-        if n_dim:
-            gradient[:n_dim] += self._precision @ (self._prior - np.concatenate(x[:n]))
-        if weak.size:
-            amplitudes = np.concatenate([v[f] for v, f in zip(x[n:], free[n:], strict=True)])
-            gradient[n_dim:] -= weak * amplitudes
-        return normal, gradient
 
     def _known(self, weak: FloatArray) -> FloatArray:
         """Return the precision of nuisances and free parameters before any reading."""
@@ -281,24 +263,6 @@ class Problem:
         known[:n_dim, :n_dim] = self._precision if n_dim else 0.0
         return known
 
-    def _cost(
-        self, r: FloatArray, x: list[FloatArray], free: list[NDArray[np.int64]], weak: FloatArray
-    ) -> float:
-        n = len(self.nuisances)
-        return float(r @ r) + self._prior_cost(x[:n]) + weak_cost(x[n:], free[n:], weak)
-
-    def _away(self, thetas: Sequence[FloatArray], made_at: Sequence[FloatArray]) -> float:
+    def _away(self, z: FloatArray, made_at: FloatArray) -> float:
         """Return by how many natural sizes nuisances moved at most since their derivatives were made."""
-        return max(
-            (
-                float(np.max(np.abs(now - then) / scale, initial=0.0))
-                for scale, now, then in zip(self._scales[1:], thetas[1:], made_at[1:], strict=True)
-            ),
-            default=0.0,
-        )
-
-    def _prior_cost(self, thetas: Sequence[FloatArray]) -> float:
-        if not thetas:
-            return 0.0
-        off = np.concatenate(list(thetas)) - self._prior
-        return float(off @ self._precision @ off)
+        return float(np.max(np.abs(z - made_at)[: self._sizes.size] / self._sizes, initial=0.0))

@@ -11,7 +11,7 @@ hidden by the age of telemetry; a compass in another orientation is turned by ri
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -75,40 +75,18 @@ def facing(problem: Problem, terms: Sequence[Term], beside: Fit, most_sse: float
     for term in terms:
         if term.effect.kind != "discrete" or term.effect.starts is None:
             continue
-        together = (*beside.terms, term)
         for guess in term.effect.starts(misfit_of(problem, problem.signals(beside))):
-            thetas, starts = (*beside.thetas, guess), yaw_starts(problem.nuisances)
-            fits = sorted((problem.fit(together, thetas, start, 1) for start in starts), key=lambda f: f.sse)
+            turned = beside.beside(term, guess)
+            starts = [replace(turned, nuisance_thetas=known) for known in yaw_starts(problem.nuisances)]
+            fits = sorted((problem.fit(start, 1) for start in starts), key=lambda f: f.sse)
             if len(starts) > 1 and fits[0].sse >= most_sse:
                 # Where the yaw may be anything, one of six is off by so much that it takes a few steps more.
-                fits = [problem.fit(together, f.thetas, f.nuisance_thetas, FEW_STEPS) for f in fits[:1]]
+                fits = [problem.fit(f, FEW_STEPS) for f in fits[:1]]
             # Elsewhere one step is enough to see that a compass is not mounted so.
             likely = [fit for fit in fits[:_LIKELY_YAWS] if fit.sse < most_sse]
             if likely:
                 out.append(min(map(problem.refit, likely), key=lambda f: f.sse))
     return out
-
-
-def polished(problem: Problem, criteria: Criteria, fit: Fit, moments: bool = False) -> Fit:
-    """Fit to convergence; look again for moments, places and frequencies beside the other effects, or for
-    `moments` only."""
-    if not fit.terms:
-        return fit
-    best = problem.refit(fit)
-    for i, term in enumerate(best.terms):
-        if term.effect.starts is None or term.effect.kind == "discrete":
-            continue
-        if moments and MOMENTS.isdisjoint(term.effect.names):
-            continue
-        rest = best.without(i)
-        for start in term.effect.starts(misfit_of(problem, problem.signals(rest))):
-            if (np.abs(start - best.thetas[i]) <= _SAME * term.effect.scale).all():
-                continue
-            terms = (*rest.terms, term)
-            trial = problem.fit(terms, (*rest.thetas, start), best.nuisance_thetas, FEW_STEPS)
-            if criteria.score(trial) < criteria.score(best) - 1e-6:
-                best = _in_order(problem.refit(trial), best)
-    return best
 
 
 def _in_order(fit: Fit, like: Fit) -> Fit:
@@ -149,7 +127,7 @@ def pruned(problem: Problem, fit: Fit) -> Fit:
                 theta[j] = 0.0
                 terms = (*fit.terms[:i], replace(term, free=free), *fit.terms[i + 1 :])
                 thetas = (*fit.thetas[:i], theta, *fit.thetas[i + 1 :])
-                trial = problem.fit(terms, thetas, fit.nuisance_thetas, FEW_STEPS)
+                trial = problem.fit(Fit(terms, thetas, fit.nuisance_thetas), FEW_STEPS)
                 if trial.sse < fit.sse + _PRUNING:
                     options.append(trial)
         if not options:
@@ -163,20 +141,6 @@ def _natural_size(fit: Fit) -> float:
         for t, x in zip(fit.terms, fit.thetas, strict=True)
         if t.effect.affine
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Found:
-    """Hold the result of a search.
-
-    Attributes:
-        null: the fit without effects; best: the fit of the best set (perhaps the null).
-        explored: every fitted set by its ids.
-    """
-
-    null: Fit
-    best: Fit
-    explored: dict[frozenset[str], Fit]
 
 
 class Search:
@@ -208,18 +172,13 @@ class Search:
         self._candidates.clear()
         self._fits.clear()
 
-    def _null(self) -> Fit:
-        if frozenset() not in self.explored:
-            self.explored[frozenset()] = self.problem.null()
-        return self.explored[frozenset()]
-
-    def run(self, most: int = MOST_EFFECTS, likely: Sequence[Fit] = ()) -> Found:
-        """Search up to `most` effects, from the best of sets that are `likely` on."""
-        null = self._null()
+    def run(self, most: int = MOST_EFFECTS, likely: Sequence[Fit] = ()) -> Fit:
+        """Return the best of sets of up to `most` effects, from the best of sets that are `likely` on."""
+        null = self.explored.setdefault(frozenset(), self.problem.null())
         self._remember(likely)
         best = self._largest_needed(null, likely, most)
         means = tuple(n.mean for n in self.problem.nuisances)
-        turns = facing(self.problem, self.terms, Fit((), (), means, np.inf), null.sse)
+        turns = facing(self.problem, self.terms, Fit(nuisance_thetas=means), null.sse)
         noise = 3 * len(self.problem.groups) * self.problem.count
         explained = min((fit.sse for fit in turns), default=np.inf)
         if explained < _UNEXPLAINED * noise:
@@ -241,7 +200,7 @@ class Search:
             other = self.polished(self._rounds(null, most, (), other))
             best, other = sorted((best, other), key=self.criteria.score)
         self.explored |= {other.ids: other, best.ids: best}
-        return Found(unbent(self.problem, null), best, self.explored)
+        return best
 
     def _beside_one(self, best: Fit) -> Fit:
         """Return the best set that is seen beside the one effect that does best alone.
@@ -252,10 +211,10 @@ class Search:
             return best
         ones = [
             self.explored.get(frozenset({term.effect.id}))
-            or self.problem.fit((term,), (theta,), best.nuisance_thetas)
+            or self.problem.fit(Fit((term,), (theta,), best.nuisance_thetas))
             for term, theta in zip(best.terms, best.thetas, strict=True)
         ]
-        empty, fits = Fit((), (), (), np.inf), [best]
+        empty, fits = Fit(), [best]
         for one in sorted(ones, key=self.criteria.score)[:_ALONE]:
             if (one.ids, 0) not in self._candidates:
                 candidates = self._linearised(self.problem.refit(one), ())
@@ -271,7 +230,7 @@ class Search:
 
         On noiseless readings its sum of squares is the squared distance to all that these effects can make.
         """
-        kept = Fit((), (), (), np.inf) if held is None else held
+        kept = Fit() if held is None else held
         best = self.problem.null() if held is None else self.problem.refit(held)
         for _ in range(_ROUNDS):
             candidates = self._linearised(best, kept.terms)
@@ -311,7 +270,7 @@ class Search:
         self, first: Fit, most: int, held: Sequence[Term], best: Fit | None = None, rounds: int = _ROUNDS
     ) -> Fit:
         """Linearise beside the best set, weigh all sets, fit the likeliest; again until nothing changes."""
-        kept = Fit(first.terms, first.thetas, (), np.inf) if held else Fit((), (), (), np.inf)
+        kept = Fit(first.terms, first.thetas) if held else Fit()
         smallest, best = first, first if best is None else best
         # How blocks contradict each other beside another start says nothing of this one.
         self.criteria.temper = 1.0
@@ -365,11 +324,10 @@ class Search:
         key = len(held.terms), iterations, chosen
         if key in self._fits:
             return self._fits[key]
-        start = candidates.start(chosen, held)
-        fit = self.problem.fit(start.terms, start.thetas, start.nuisance_thetas, iterations)
+        fit = self.problem.fit(candidates.start(chosen, held), iterations)
         if any(fit.sse > smaller.sse for ids, smaller in self.explored.items() if ids < fit.ids):
             # More effects leave no more: it has not come to its end yet.
-            fit = self.problem.fit(fit.terms, fit.thetas, fit.nuisance_thetas, FEW_STEPS)
+            fit = self.problem.fit(fit, FEW_STEPS)
         known = self.explored.get(fit.ids)
         self._fits[key] = fit if known is None or fit.sse < known.sse else known
         return self._fits[key]
@@ -396,5 +354,22 @@ class Search:
                 self.explored[fit.ids] = fit
 
     def polished(self, fit: Fit, moments: bool = False) -> Fit:
-        """Fit to convergence, and look again for where the effects begin, or for `moments` only."""
-        return polished(self.problem, self.criteria, fit, moments)
+        """Fit to convergence; look again for moments, places and frequencies beside the other effects, or for
+        `moments` only."""
+        if not fit.terms:
+            return fit
+        problem, cost = self.problem, self.criteria.score
+        best = problem.refit(fit)
+        for i, term in enumerate(best.terms):
+            if term.effect.starts is None or term.effect.kind == "discrete":
+                continue
+            if moments and MOMENTS.isdisjoint(term.effect.names):
+                continue
+            rest = best.without(i)
+            for start in term.effect.starts(misfit_of(problem, problem.signals(rest))):
+                if (np.abs(start - best.thetas[i]) <= _SAME * term.effect.scale).all():
+                    continue
+                trial = problem.fit(rest.beside(term, start), FEW_STEPS)
+                if cost(trial) < cost(best) - 1e-6:
+                    best = _in_order(problem.refit(trial), best)
+        return best

@@ -294,9 +294,9 @@ def _doubtful(witness: Replay, effects: Sequence[Effect]) -> dict[Group, SensorN
     out: dict[Group, SensorNoise] = {}
     for group in witness.groups[1:]:
         alone = replace(witness, groups=(group,))
-        terms = [make_term(e, alone.signals) for e in effects if group in e.groups]
+        terms = tuple(make_term(e, alone.signals) for e in effects if group in e.groups)
         problem = Problem(alone, first_noise(alone), alone.valid, Prior.of(()))
-        fit = problem.fit(terms, [t.effect.neutral() for t in terms], ())
+        fit = problem.fit(Fit(terms, tuple(t.effect.neutral() for t in terms)))
         noise = measured_noise(problem, fit)
         tests = judge(Problem(alone, noise, alone.valid, problem.prior), fit, compare_scatter=False).tests
         if tests[0].p <= usual.baseline.explained_p:

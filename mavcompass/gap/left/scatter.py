@@ -15,7 +15,7 @@ from mavcompass.gap.replay.noise import Noise, estimate_noise
 from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.result import Cause
 from mavcompass.gap.tables import usual
-from mavcompass.gap.traces.scattered import quiet_doubt, quiet_scatter
+from mavcompass.gap.traces.rapid import quiet_doubt, quiet_scatter
 from mavcompass.simulation.effects import detected_by, get
 
 # The scatter's own distribution is only known from the recording: be slower to name it.

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.attitude.receiver import north_east_m
+from mavcompass.gap.attitude.sensors import north_east_m
 from mavcompass.gap.fit.hypothesis import Fit
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.search import Search
@@ -69,7 +69,7 @@ def from_baseline(replay: Replay, baseline: Replay, effects: Collection[Effect])
         lasting = (e for e in effects if not e.moves and {FREQUENCY, LIMIT}.isdisjoint(e.names))
         foldable = [e for e in lasting if e.kind == "mean" and e.id not in never]
         for _ in range(2):
-            fit = Search(problem, foldable).run(usual.baseline.most_folded).best
+            fit = Search(problem, foldable).run(usual.baseline.most_folded)
             if not fit.terms:
                 break
             problem = Problem(baseline, measured_noise(problem, fit), baseline.valid, problem.prior)

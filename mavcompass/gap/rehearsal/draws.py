@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from mavcompass.calibration.rigid import CROSS_TERMS_BEFORE, DEFAULT_PRIOR
 from mavcompass.frames import FloatArray
 from mavcompass.gap.export.vehicle import affine_map
 from mavcompass.gap.rehearsal.kind import Kind
-from mavcompass.gap.result import MATRIX, MOTOR, OFFSET, Belief, Diagnosis
+from mavcompass.gap.result import MATRIX, MOTOR, OFFSET, Belief, Diagnosis, Iron
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects import Setting, get
 from mavcompass.simulation.effects.effect import Distortion, Effect, Memory, Rng, Signals, Stage
@@ -34,16 +34,14 @@ _CROSS = (((0, 1),), ((0, 2), (1, 2)))
 _ACTING = frozenset({"mean", "discrete"})
 
 
-def iron_settings(
-    matrix: FloatArray, offset_mgauss: FloatArray, motor_mgauss: FloatArray, load: FloatArray
-) -> list[Setting]:
-    """Make raw = matrix field + offset + load motor, `load` (N,), where a diagnosis has them in the chain."""
+def iron_settings(iron: Iron, load: FloatArray) -> list[Setting]:
+    """Make raw = A field + b + motor load, `load` (N,), where a diagnosis has them in the chain."""
 
     def bent(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-        return signals.with_mag(signals.reading.mag_mgauss @ matrix.T)
+        return signals.with_mag(signals.reading.mag_mgauss @ iron.matrix.T)
 
     def moved(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-        added = offset_mgauss + np.nan_to_num(load)[:, np.newaxis] * motor_mgauss
+        added = iron.offset_mgauss + np.nan_to_num(load)[:, np.newaxis] * iron.motor_mgauss
         return signals.with_mag(signals.reading.mag_mgauss + added)
 
     return [
@@ -73,13 +71,12 @@ def whole_iron(diagnosis: Diagnosis) -> tuple[FloatArray, FloatArray] | None:
     by_current = cured.motor_source == "current"
 
     def whole(values: FloatArray) -> FloatArray:
-        matrix = cured.matrix @ (np.eye(3) + values[MATRIX].reshape(3, 3))
-        offset = cured.hard_iron_mgauss + values[OFFSET]
-        motor = (cured.motor_mgauss + values[MOTOR]) * by_current
+        iron = cured.cures.changed(values[MATRIX], values[OFFSET], values[MOTOR])
         effects = effects_in(belief, values)
         affine = [setting for setting in effects if setting.effect.affine]
-        a, b = affine_map([*iron_settings(matrix, offset, np.zeros(3), np.zeros(4)), *affine])
-        motor = sum((s.theta for s in effects if s.effect.id == "motor_current"), motor)
+        a, b = affine_map([*iron_settings(iron, np.zeros(4)), *affine])
+        found = (s.theta for s in effects if s.effect.id == "motor_current")
+        motor = sum(found, iron.motor_mgauss * by_current)
         return np.concatenate([b, (0.5 * (a + a.T))[_GAINS], motor])
 
     jacobian, here = np.zeros((len(IRON_NAMES), belief.mean.size)), whole(belief.mean)
@@ -89,23 +86,14 @@ def whole_iron(diagnosis: Diagnosis) -> tuple[FloatArray, FloatArray] | None:
     covariance = jacobian @ belief.covariance @ jacobian.T
     if not covariance[9:, 9:].any():
         covariance[9:, 9:] = usual.motors.untold_mgauss**2 * np.eye(3)
-    size = float(np.linalg.norm(cured.motor_mgauss)) * by_current
-    return (
-        _trusting(here, covariance, cured.motor_mgauss, usual.motors.calibrated * size)
-        if size
-        else (here, covariance)
-    )
-
-
-def _trusting(
-    values: FloatArray, covariance: FloatArray, motor_mgauss: FloatArray, sigma: float
-) -> tuple[FloatArray, FloatArray]:
-    """Take the motors' field of a calibration for a measurement.
-
-    A diagnosis leaves open what its recording cannot exclude: far more than calibrations are wrong by.
-    """
-    gain = covariance[:, 9:] @ np.linalg.inv(covariance[9:, 9:] + sigma**2 * np.eye(3))
-    return values + gain @ (motor_mgauss - values[9:]), covariance - gain @ covariance[9:, :]
+    motor = cured.cures.motor_mgauss * by_current
+    if not motor.any():
+        return here, covariance
+    # The motors' field of a calibration is a measurement: a diagnosis leaves open what its recording cannot
+    # exclude, far more than calibrations are wrong by.
+    off = usual.motors.calibrated**2 * float(motor @ motor) * np.eye(3)
+    gain = covariance[:, 9:] @ np.linalg.inv(covariance[9:, 9:] + off)
+    return here + gain @ (motor - here[9:]), covariance - gain @ covariance[9:, :]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,8 +102,7 @@ class Individual:
 
     Attributes:
         field_ned_mgauss: the field where it is calibrated and used, (3,).
-        matrix, offset_mgauss, motor_mgauss: raw = matrix field + offset + motor load. known_motor_mgauss: the
-            motors' field as its calibration in force has it.
+        iron: its own. known_motor_mgauss: the motors' field as its calibration in force has it.
         settings: its effects.
         heading_rad: where it begins; turned_off_rad: how far each position is from where it should be, (K,).
         stance: which stance each position is, (K,); used: which of the recording's readings it is used in.
@@ -124,9 +111,7 @@ class Individual:
     """
 
     field_ned_mgauss: FloatArray
-    matrix: FloatArray
-    offset_mgauss: FloatArray
-    motor_mgauss: FloatArray
+    iron: Iron
     known_motor_mgauss: FloatArray
     settings: tuple[Setting, ...]
     heading_rad: float
@@ -147,8 +132,8 @@ class Individual:
         `load` (N,) is what the motors' field goes with.
         """
         acting = [s for s in self.settings if s.effect.id not in without]
-        motor = self.known_motor_mgauss if MOTORS in without else self.motor_mgauss
-        return Distortion([*iron_settings(self.matrix, self.offset_mgauss, motor, load), *acting])
+        known = replace(self.iron, motor_mgauss=self.known_motor_mgauss)
+        return Distortion([*iron_settings(known if MOTORS in without else self.iron, load), *acting])
 
 
 class Draws:
@@ -172,18 +157,16 @@ class Draws:
             # What is known of all the rest once the motors are known to make no field.
             shared = belief.covariance[:, MOTOR] @ np.linalg.inv(belief.covariance[MOTOR, MOTOR])
             values = values - shared @ values[MOTOR]
-        matrix = kind.iron.matrix @ (np.eye(3) + values[MATRIX].reshape(3, 3))
+        iron = kind.iron.changed(values[MATRIX], values[OFFSET], values[MOTOR])
         # A turn of the compass in the vehicle shows in no turn of both: it is the mounting's, see (M1).
-        matrix = 0.5 * (matrix + matrix.T)
+        matrix = 0.5 * (iron.matrix + iron.matrix.T)
         for places, probability in zip(_CROSS, self._crossed[which], strict=True):
             if rng.random() >= probability:
                 for i, j in places:
                     matrix[i, j] = matrix[j, i] = 0.0
         return Individual(
             field_ned_mgauss=kind.field_ned_mgauss + values[:3],
-            matrix=matrix,
-            offset_mgauss=kind.iron.offset_mgauss + values[OFFSET],
-            motor_mgauss=kind.iron.motor_mgauss + values[MOTOR],
+            iron=replace(iron, matrix=matrix),
             known_motor_mgauss=kind.iron.motor_mgauss,
             settings=tuple(s for s in effects_in(belief, values) if s.effect.kind in _ACTING)
             + tuple(self._faults(rng)),

@@ -1,22 +1,29 @@
-"""A kind of vehicle: all that a recording and its diagnosis tell of one, as distributions to draw from."""
+"""A kind of vehicle: all that a recording and its diagnosis tell of one, as distributions to draw from.
+
+The diagnosis may be one that was stored (`gap diagnose --json`).
+"""
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from mavcompass.calibration.observation import Dwell, dwell_between, rolls, turn_record
 from mavcompass.calibration.observation.turning import GYRO_SCALE_SIGMA, TurnRecord
 from mavcompass.earth_field import EarthField, earth_field_of
-from mavcompass.errors import BadRecording, PoorCalibration
+from mavcompass.errors import BadRecording, PoorCalibration, UsageError
+from mavcompass.files import read_text, sha256_of
 from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude.reference import Choice
-from mavcompass.gap.rehearsal.result import Stored
 from mavcompass.gap.replay.nominal import Replay, replay
 from mavcompass.gap.replay.nuisance import KnownIron
-from mavcompass.gap.result import Belief, Cause, Diagnosis
+from mavcompass.gap.result import SCHEMA as DIAGNOSIS_SCHEMA
+from mavcompass.gap.result import Belief, Cause, Diagnosis, Verdict
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects import get
 from mavcompass.simulation.physics.signals import Stimulus
@@ -24,6 +31,68 @@ from mavcompass.track import Track
 
 # A turn of 90 degrees, and the two halves of the positions beside it.
 STEP_S = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class Stored:
+    """Hold what a rehearsal takes from a diagnosis, and the recording that it is of."""
+
+    recording: Path
+    compass: int
+    verdict: Verdict
+    causes: tuple[Cause, ...]
+    beliefs: tuple[Belief, ...]
+
+
+def read_stored(path: Path) -> Stored:
+    """Read a diagnosis and find its recording, where it was or beside the file.
+
+    Raises UsageError where the file is no diagnosis, or its recording is gone or another.
+    """
+    try:
+        document = json.loads(read_text(path))
+        if document["schema"] != DIAGNOSIS_SCHEMA:
+            raise ValueError(document["schema"])
+        log = document["log"]
+        stored = Stored(
+            recording=_recording(path, log["path"], log["sha256"]),
+            compass=document["compass"],
+            verdict=document["verdict"],
+            causes=tuple(map(_cause, document["causes"])),
+            beliefs=tuple(map(Belief.from_json, document["beliefs"])),
+        )
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        raise UsageError(
+            f"{path} is no diagnosis that can be rehearsed.",
+            "Name the recording itself, or what `mavcompass gap diagnose LOG --json FILE` writes for one"
+            " recording; what earlier versions wrote does not hold enough.",
+        ) from error
+    return stored
+
+
+def _recording(path: Path, named: str, sha256: str) -> Path:
+    places = (Path(named), path.parent / Path(named).name)
+    found = next((place for place in places if place.is_file()), None)
+    if found is None:
+        raise UsageError(
+            f"{path} is the diagnosis of {named}, which is not there.",
+            "A rehearsal also needs the recording, for how the vehicle stands: put it beside the diagnosis.",
+        )
+    if sha256_of(found) != sha256:
+        raise UsageError(
+            f"{found} is not the recording that {path} is the diagnosis of.", "Diagnose it anew."
+        )
+    return found
+
+
+def _cause(document: dict[str, Any]) -> Cause:
+    return Cause(
+        effect=document["effect"],
+        parameters={name: float(value) for name, value in document["parameters"].items()},
+        ci95={name: (float(low), float(high)) for name, (low, high) in document["ci95"].items()},
+        probability=float(document["probability"]),
+        ambiguous_with=tuple(document["ambiguous_with"]),
+    )
 
 
 def stances_of(

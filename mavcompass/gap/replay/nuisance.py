@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcompass.correction import IDENTITY, FieldCorrection, MotorSource
-from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
-from mavcompass.gap.attitude.kinematics import exponentials
+from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back, rotvec_to_matrix
+from mavcompass.gap.result import Iron
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S, late_field
 from mavcompass.simulation.effects.effect import Effect, Memory, Parameter, Rng, Signals, Stage
@@ -103,7 +103,7 @@ WORLD_FIELD = Effect(
 def turned(signals: Signals, vectors_rad: FloatArray, yaw_rad: float = 0.0) -> Signals:
     """Turn the believed attitude by rotation vectors in world axes (N, 3), and then about the vertical."""
     s = signals.stimulus
-    rotation = exponentials(vectors_rad) @ s.rotation
+    rotation = rotvec_to_matrix(vectors_rad) @ s.rotation
     if yaw_rad != 0.0:
         rotation = euler_to_matrix(0.0, 0.0, yaw_rad) @ rotation
     change = rotate_back(rotation, s.field_ned_mgauss) - rotate_back(s.rotation, s.field_ned_mgauss)
@@ -180,19 +180,15 @@ ANOTHER_IRON = Trust(150.0, 0.1, 150.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KnownIron:
+class KnownIron(Iron):
     """Hold what a calibration says of the raw sensor.
 
     Attributes:
         correction: the calibration, as the autopilot has it in force.
-        matrix: A (3, 3); offset_mgauss: b (3,); motor_mgauss: what a unit of the load adds to the raw field,
-        (3,). load: the motor load at the rows, (N,), zeros where there is none; source: what it is.
+        load: the motor load at the rows, (N,), zeros where there is none; source: what it is.
     """
 
     correction: FieldCorrection
-    matrix: FloatArray
-    offset_mgauss: FloatArray
-    motor_mgauss: FloatArray
     load: FloatArray
     source: MotorSource = "none"
 
@@ -259,7 +255,7 @@ def known_iron(correction: FieldCorrection, load: FloatArray, source: MotorSourc
     """Read a calibration backwards; `load` (N,) is the motor load that its motor term goes with."""
     matrix = correction.inverse
     motor = np.asarray(-matrix @ np.asarray(correction.motor_mgauss), dtype=np.float64)
-    return KnownIron(correction, matrix, -np.asarray(correction.offsets_mgauss), motor, load, source)
+    return KnownIron(matrix, -np.asarray(correction.offsets_mgauss), motor, correction, load, source)
 
 
 def load_of(

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from mavcompass.earth_field import decimal_year, earth_field, middle_place
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, rotate
-from mavcompass.gap.attitude.receiver import local_position
 from mavcompass.gap.attitude.reference import Reference
+from mavcompass.gap.attitude.sensors import local_position
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.physics.signals import Stimulus
 from mavcompass.track import Series, Track

@@ -1,4 +1,14 @@
-"""Choose the effects, fit the choice again on all rows, and judge what is left under the noise that it shows.
+"""Choose the effects by the criterion, fit the choice again on all rows, and judge what is left.
+
+What a set S of effects costs is minus twice the logarithm of its evidence and its prior, up to a constant:
+
+    c(S) = (SSE_S - m_S) / T + m_S + a d_S ln n + b k_S                                              (1)
+
+SSE is the whitened sum of squares of n rows and m the part of it by which what is known of vehicle and
+place is strained (its Mahalanobis distance from the prior); T >= 1 is the overdispersion, by which blocks
+of the recording contradict each other about what the fullest set has more than none; d parameters cost
+Schwarz's a ln n each (Annals of Statistics 6, 1978), k effects their prior odds, b. Both are learnt
+(`params/gap`).
 
 Numbers that are rounded, saturated or scattered more than the floor's have another noise than the floor's.
 What is left is judged under that noise; otherwise each of these would look like an unknown cause.
@@ -6,6 +16,7 @@ What is left is judged under that noise; otherwise each of these would look like
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
@@ -13,14 +24,13 @@ from statistics import NormalDist
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit.hypothesis import Fit, Mask, Term
+from mavcompass.gap.fit.hypothesis import Fit, Mask
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.fit.search import Search, pruned
+from mavcompass.gap.fit.search import Search, pruned, unbent
 from mavcompass.gap.left.floor import Floor, kind_of, measured_noise, widened
 from mavcompass.gap.left.scatter import Scatter, find_scatter, noise_with
 from mavcompass.gap.replay.noise import Noise
 from mavcompass.gap.replay.nominal import Replay
-from mavcompass.gap.selection.posterior import Identified, posterior_of
 from mavcompass.gap.selection.split import (
     Split,
     moments,
@@ -36,6 +46,120 @@ from mavcompass.gap.tables import usual
 from mavcompass.gap.traces.traces import Traces
 from mavcompass.simulation.effects.effect import LIMIT, Effect
 from mavcompass.simulation.physics.signals import Reading
+
+# So many of the cheapest sets are fitted to the end, but none that costs so much more than the cheapest.
+_REFITTED, _HOPELESS = 8, 100.0
+# Predictions that differ by less than three sigmas, or by this share of what is explained, are the same.
+_SAME, _SAME_SHARE = 9.0, 0.005
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Explanation:
+    """Hold a set of effects as fitted, what it costs (1), and whether it is the best one in other words.
+
+    `apart` is the whitened squared distance between what it predicts and what the best one does.
+    """
+
+    fit: Fit
+    cost: float
+    apart: float
+    strain: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posterior:
+    """Hold the explored sets, the cheapest first, the empty one among them; `overdispersion` is T of (1)."""
+
+    explanations: tuple[Explanation, ...]
+    overdispersion: float
+
+    @property
+    def best(self) -> Explanation:
+        """Return the cheapest set."""
+        return self.explanations[0]
+
+    @property
+    def nothing(self) -> Explanation:
+        """Return the empty set."""
+        return next(e for e in self.explanations if not e.fit.terms)
+
+    @property
+    def gain(self) -> float:
+        """Return by how much the best set is cheaper than none."""
+        return self.nothing.cost - self.best.cost
+
+    @property
+    def lead(self) -> float:
+        """Return by how much the best set is cheaper than any that is not the same in more words."""
+        others = [e.cost for e in self.explanations[1:] if not self.restates(e)]
+        return min(others, default=math.inf) - self.best.cost
+
+    @property
+    def rivals(self) -> list[Explanation]:
+        """List the other sets, but those that are the same in more words."""
+        return [e for e in self.explanations[1:] if e.fit.terms and not self.restates(e)]
+
+    def without(self, effect_id: str) -> float:
+        """Return by how many sigmas the best set without an effect falls short of the best one, or 0."""
+        others = [e.cost for e in self.explanations if effect_id not in e.fit.ids]
+        return math.sqrt(max(min(others, default=math.inf) - self.best.cost, 0.0))
+
+    def restates(self, other: Explanation) -> bool:
+        """Tell whether a set is observationally equivalent to the best one, with more parameters."""
+        best, none = self.best, self.nothing
+        most = max(_SAME * self.overdispersion, _SAME_SHARE * (none.fit.sse - best.fit.sse))
+        return other.apart < most and other.fit.dimension > best.fit.dimension
+
+    def weights(self, likely: float) -> tuple[tuple[frozenset[str], float], ...]:
+        """Share a probability among the rivals of the best set, by (1)."""
+        rivals = self.rivals
+        if not rivals:
+            return ()
+        raw = np.exp(-0.5 * np.array([e.cost - rivals[0].cost for e in rivals]))
+        shares = likely * raw / raw.sum()
+        return tuple((e.fit.ids, float(share)) for e, share in zip(rivals, shares, strict=True))
+
+
+def posterior_of(search: Search) -> Posterior:
+    """Weigh the explored sets of a search, the likeliest of them fitted to the end."""
+    problem, explored = search.problem, dict(search.explored)
+    fullest = min(explored.values(), key=lambda fit: fit.sse)
+    spread = max(1.0, search.criteria.contradiction(Fit(), fullest)) if fullest.terms else 1.0
+
+    def cost(fit: Fit) -> float:
+        return search.criteria.score(fit, spread)
+
+    ranked = sorted(explored.values(), key=cost)
+    for fit in ranked[:_REFITTED]:
+        if fit.terms and cost(fit) < cost(ranked[0]) + _HOPELESS:
+            explored[fit.ids] = problem.refit(fit)
+    ranked = sorted(explored.values(), key=cost)
+    here = problem.predict(ranked[0])
+    explanations = []
+    for place, fit in enumerate(ranked):
+        near = place < _REFITTED or not fit.terms
+        apart = float(np.sum(problem.shift(problem.predict(fit), here) ** 2)) if near else math.inf
+        explanations.append(Explanation(fit, cost(fit), apart, problem.strain(fit)))
+    return Posterior(tuple(explanations), spread)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Identified:
+    """Hold the best set as fitted to the training rows of a split, nothing beside straight nuisances, and how
+    it was found.
+
+    `first` is the problem that the sets were explored and weighed on (a change inside a held-out block
+    moves rows afterwards).
+    """
+
+    problem: Problem
+    split: Split
+    null: Fit
+    fit: Fit
+    search: Search
+    first: Problem
+    posterior: Posterior
+
 
 _LEAST_MGAUSS = 0.3
 _SEED = 20260102
@@ -145,7 +269,7 @@ def identify(
         if not floor.measured:
             kept = Problem(fewer, result.problem.noise, calm.train, result.problem.prior)
             start = widened(floor, kept, kept.refit(result.fit))
-        calmer, settled = _searched(fewer, start, calm, effects, 1, (result.fit.terms, result.fit.thetas))
+        calmer, settled = _searched(fewer, start, calm, effects, 1, result.fit)
         # Under a noise that is known both can be compared.
         still = not (moments(calmer.fit) or switches(calmer.fit))
         most = _each(result) * (usual.change.no_worse if again else 1.0)
@@ -168,7 +292,7 @@ def _searched(
     split: Split,
     effects: Sequence[Effect],
     passes: int,
-    likely: tuple[Sequence[Term], Sequence[FloatArray]] | None = None,
+    likely: Fit | None = None,
 ) -> tuple[Identified, Floor]:
     """Search and weigh, under a noise learnt in passes; what was `likely` with other rows is tried first."""
     kind = kind_of(replay, floor)
@@ -178,15 +302,16 @@ def _searched(
         problem = Problem(replay, floor.noise, split.train, floor.prior)
         problem.null(nothing)
         search = Search(problem, effects, kind)
-        tried = [problem.fit(*likely, nothing.nuisance_thetas)] if likely else ()
-        found = search.run(likely=tried)
-        posterior = posterior_of(search, found)
+        tried = [problem.fit(replace(likely, nuisance_thetas=nothing.nuisance_thetas))] if likely else ()
+        search.run(likely=tried)
+        posterior = posterior_of(search)
         # Where the noise is only to be learnt, moments need be no nearer.
         wider = widened(floor, problem, posterior.best.fit) if turn + 1 < passes else floor
         if wider is floor:
             break
         floor = wider
-    result = Identified(problem, split, found, posterior.best.fit, search, problem, posterior)
+    null = unbent(problem, problem.null())
+    result = Identified(problem, split, null, posterior.best.fit, search, problem, posterior)
     result = _moments_in_training(result)
     result.search.forget()
     return replace(result, fit=pruned(result.problem, result.fit)), floor

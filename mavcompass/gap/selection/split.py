@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mavcompass.chance import chi_square_of
 from mavcompass.frames import FloatArray
-from mavcompass.gap.attitude.scatter import MEDIAN_OF_SQUARES
+from mavcompass.gap.attitude.sensors import MEDIAN_OF_SQUARES
 from mavcompass.gap.fit.hypothesis import Fit, Mask
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.replay.nominal import Replay

@@ -12,8 +12,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.result import Cause
 from mavcompass.gap.tables import usual
-from mavcompass.gap.traces.rapid import Rapid, find_rapid
-from mavcompass.gap.traces.scattered import burst_mgauss, excess_variance
+from mavcompass.gap.traces.rapid import Rapid, burst_mgauss, excess_variance, find_rapid
 from mavcompass.simulation.effects import Effect, detected_by
 
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from mavcompass.frames import FloatArray, quaternion_to_matrix, rotate_back
+from mavcompass.gap.fit.hypothesis import Fit
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.left.taught import from_baseline
 from mavcompass.gap.replay.nominal import replay
@@ -138,10 +139,8 @@ def noiseless(label: Label) -> tuple[Problem, list[Effect]]:
         ),
         floor.prior.precision,
     )
-    as_known = Problem(exact, floor.noise, exact.valid, prior).composition.states(
-        (), (), [n.mean for n in prior.nuisances]
-    )
-    made: FloatArray = as_known[-1].reading.mag_mgauss + change[middles]
-    exact = replace(exact, measured=replace(exact.measured, mag_mgauss=made))
+    as_known = Fit(nuisance_thetas=tuple(n.mean for n in prior.nuisances))
+    plain = Problem(exact, floor.noise, exact.valid, prior).predict(as_known).mag_mgauss
+    exact = replace(exact, measured=replace(exact.measured, mag_mgauss=plain + change[middles]))
     unable = untestable_effects(exact, every, before.telemetry).keys() - half_testable(exact, every)
     return Problem(exact, floor.noise, exact.valid, prior), [e for e in every if e.id not in unable]

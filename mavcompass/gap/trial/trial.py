@@ -160,11 +160,7 @@ def _turned(label: Label, search: Search, removed: str) -> Fit | None:
     turns = [text for text in label.effects if text.partition(":")[0] in terms.keys() - {removed}]
     kept = [parse(text) for text in turns]
     known = tuple(n.mean for n in search.problem.nuisances)
-    return (
-        Fit(tuple(terms[s.effect.id] for s in kept), tuple(s.theta for s in kept), known, math.inf)
-        if kept
-        else None
-    )
+    return Fit(tuple(terms[s.effect.id] for s in kept), tuple(s.theta for s in kept), known) if kept else None
 
 
 def _distance(search: Search, removed: frozenset[str], most: int, held: Fit | None = None) -> float:
@@ -195,20 +191,21 @@ def _as_modelled(label: Label, search: Search) -> tuple[Search | None, float]:
         # Another make's effect may be larger than the catalogue calls physical.
         return search, math.nan
     problem = search.problem
-    known = [n.mean for n in problem.nuisances]
-    named = [terms[s.effect.id] for s in settings]
+    known = tuple(n.mean for n in problem.nuisances)
+    named = tuple(terms[s.effect.id] for s in settings)
     placed = product(*(placements(s.effect, s.theta, problem.replay.iron.offset_mgauss) for s in settings))
-    nearest = min(((problem.fit(named, thetas, known).sse, thetas) for thetas in placed), key=itemgetter(0))
-    made = problem.composition.states(named, nearest[1], known)[-1].reading.mag_mgauss
+    starts = [Fit(named, thetas, known) for thetas in placed]
+    least, nearest = min(((problem.fit(start).sse, start) for start in starts), key=itemgetter(0))
+    made = problem.predict(nearest).mag_mgauss
     replayed = replace(problem.replay, measured=replace(problem.replay.measured, mag_mgauss=made))
     modelled = search.on(Problem(replayed, problem.noise, problem.rows, problem.prior))
-    return modelled, math.sqrt(max(nearest[0], 0.0))
+    return modelled, math.sqrt(max(least, 0.0))
 
 
 def _size(problem: Problem) -> float:
     """Return the whitened length of what the effects change, nothing else being fitted."""
-    known = [n.mean for n in problem.nuisances]
-    return float(np.linalg.norm(problem.residual(problem.composition.states((), (), known)[-1].reading)))
+    known = Fit(nuisance_thetas=tuple(n.mean for n in problem.nuisances))
+    return float(np.linalg.norm(problem.residual(problem.predict(known))))
 
 
 def closing_of_the_truth(label: Label, answer: Answer) -> tuple[float, float]:

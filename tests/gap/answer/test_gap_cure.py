@@ -9,7 +9,7 @@ import pytest
 
 from mavcompass.correction import FieldCorrection
 from mavcompass.gap import diagnose_gap
-from mavcompass.gap.export.ardupilot import ardupilot_sitl
+from mavcompass.gap.export.simulators import ardupilot_sitl
 from mavcompass.gap.export.vehicle import Found, vehicle_settings
 from mavcompass.gap.trial.cases import Recipe, make_track
 from mavcompass.report.gap_words import summary
@@ -34,7 +34,7 @@ def test_iron_that_the_calibration_cures_is_no_cause() -> None:
     diagnosis = diagnose_gap(with_calibration(made(), FieldCorrection(offsets_mgauss=(30.0, -20.0, -12.0))))
     assert diagnosis.verdict == "no_gap" and not diagnosis.causes
     assert diagnosis.in_force is not None and diagnosis.corrected_rms_mgauss is not None
-    np.testing.assert_allclose(diagnosis.in_force.hard_iron_mgauss, [-30.0, 20.0, 12.0])
+    np.testing.assert_allclose(diagnosis.in_force.cures.offset_mgauss, [-30.0, 20.0, 12.0])
     assert diagnosis.corrected_rms_mgauss < 5.0
     document = diagnosis.to_json()
     assert document["in_force"]["cures"]["hard_iron"] == [-30.0, 20.0, 12.0]  # type: ignore[index]

@@ -11,8 +11,7 @@ import pytest
 
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
 from mavcompass.gap.attitude.reference import body_rate, reference_attitude
-from mavcompass.gap.attitude.scatter import Bias
-from mavcompass.gap.attitude.steering import sensor_faults
+from mavcompass.gap.attitude.sensors import Bias, sensor_faults
 from mavcompass.gap.result import Cause
 from mavcompass.simulation.effects.effect import Detector
 from mavcompass.track import MagSeries, Series, Track

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from mavcompass.frames import FloatArray, euler_to_matrix, quaternion_to_matrix, rotate_back
 from mavcompass.gap.attitude.kinematics import integral
 from mavcompass.gap.attitude.reference import Reference, body_rate, reference_attitude
-from mavcompass.gap.attitude.scatter import white_floor
-from mavcompass.gap.attitude.steering import remembered_turns
+from mavcompass.gap.attitude.sensors import white_floor
+from mavcompass.gap.attitude.smoother import remembered_turns
 from mavcompass.gap.trial.vehicles import make_case
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2

@@ -15,9 +15,8 @@ from mavcompass.gap.attitude.kinematics import (
     products,
     rotation_vectors,
 )
-from mavcompass.gap.attitude.receiver import local_position
 from mavcompass.gap.attitude.reference import body_rate, reference_attitude
-from mavcompass.gap.attitude.scatter import bias_at_rest
+from mavcompass.gap.attitude.sensors import bias_at_rest, local_position
 from mavcompass.gap.trial.cases import Recipe, make_track, stimulus_of
 from mavcompass.track import Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2

@@ -10,8 +10,8 @@ import pytest
 
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back, wrap_pi
-from mavcompass.gap.attitude.receiver import receiver_velocity
 from mavcompass.gap.attitude.reference import Choice, body_rate, reference_attitude
+from mavcompass.gap.attitude.sensors import receiver_velocity
 from mavcompass.track import Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 

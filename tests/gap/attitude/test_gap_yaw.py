@@ -7,8 +7,7 @@ import pytest
 
 from mavcompass.frames import FloatArray, euler_to_matrix
 from mavcompass.gap.attitude.kinematics import with_down
-from mavcompass.gap.attitude.reference import body_rate
-from mavcompass.gap.attitude.steering import Steering, steered_by
+from mavcompass.gap.attitude.reference import Steering, body_rate, steered_by
 from mavcompass.track import Track
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mavcompass.gap.fit.composition import Composition
-from mavcompass.gap.fit.hypothesis import make_term
+from mavcompass.gap.fit.hypothesis import Fit, make_term
 from mavcompass.gap.left.floor import STATED, prior_of
 from mavcompass.gap.replay.nominal import Replay, replay
 from mavcompass.gap.trial.vehicles import make_case
@@ -70,8 +70,8 @@ def test_each_derivative_is_the_difference_that_a_small_step_makes(
         thetas.append(theta)
     known = [n.mean.copy() for n in prior.nuisances]
     everything = [*known, *thetas]
-    states = composition.states(terms, thetas, known)
-    told = composition.changes(terms, thetas, known, states, range(len(everything)))
+    fit = Fit(tuple(terms), tuple(thetas), tuple(known))
+    told = composition.changes(fit, composition.states(fit), range(len(everything)))
     column = 0
     for place in range(len(everything)):
         effect = (prior.nuisances[place] if place < len(known) else terms[place - len(known)]).effect
@@ -81,7 +81,11 @@ def test_each_derivative_is_the_difference_that_a_small_step_makes(
             for side in (-step, step):
                 moved = [x.copy() for x in everything]
                 moved[place][j] += side
-                ends.append(composition.states(terms, moved[len(known) :], moved[: len(known)])[-1])
+                ends.append(
+                    composition.states(
+                        Fit(tuple(terms), tuple(moved[len(known) :]), tuple(moved[: len(known)]))
+                    )[-1]
+                )
             change = (ends[1].reading.mag_mgauss - ends[0].reading.mag_mgauss) / (2.0 * step)
             error = np.sqrt(np.mean((told["mag"][:, :, column] - change) ** 2))
             size = np.sqrt(np.mean(change**2))
@@ -99,10 +103,10 @@ def test_what_is_held_has_no_derivative(name: str) -> None:
     composition = Composition(at, nuisances)
     term = make_term(catalogue()[name], at.signals)
     held = replace(term, free=np.zeros_like(term.free))
-    known, thetas = [n.mean for n in nuisances], [term.effect.neutral()]
+    known = tuple(n.mean for n in nuisances)
     counts = []
     for one in (term, held):
-        states = composition.states([one], thetas, known)
-        told = composition.changes([one], thetas, known, states, range(len(known) + 1))
+        fit = Fit((one,), (term.effect.neutral(),), known)
+        told = composition.changes(fit, composition.states(fit), range(len(known) + 1))
         counts.append(told["mag"].shape[2])
     assert counts[0] - counts[1] == np.count_nonzero(term.free)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -27,7 +28,7 @@ def problem() -> Problem:
 def fitted(problem: Problem, *start: float) -> Fit:
     term = make_term(catalogue()["hard_iron"], problem.replay.signals)
     means = tuple(n.mean for n in problem.nuisances)
-    return problem.fit((term,), (np.array(start),), means)
+    return problem.fit(Fit((term,), (np.array(start),), means))
 
 
 def test_from_wherever_it_began_a_fit_ends_in_the_same_place(problem: Problem) -> None:
@@ -41,7 +42,7 @@ def test_no_small_step_away_from_its_end_leaves_less(problem: Problem) -> None:
     end = fitted(problem, 0.0, 0.0, 0.0)
     for axis in np.eye(3):
         for step in (-2.0, 2.0):
-            beside = problem.fit(end.terms, (end.thetas[0] + step * axis,), end.nuisance_thetas, 0)
+            beside = problem.fit(replace(end, thetas=(end.thetas[0] + step * axis,)), 0)
             assert beside.sse > end.sse
 
 

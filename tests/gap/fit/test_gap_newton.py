@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.fit.algebra import cluster_covariance, invert, room, solve_within
+from mavcompass.gap.fit.algebra import cluster_covariance, invert, solve_within
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -30,14 +30,6 @@ def test_inside_its_room_a_step_is_the_free_one() -> None:
     far = np.full(4, 100.0)
     step = solve_within(columns.T @ columns, columns.T @ wanted, 0.0, -far, far)
     assert step == pytest.approx(np.linalg.lstsq(columns, wanted, rcond=None)[0])
-
-
-def test_room_is_told_of_free_parameters_alone() -> None:
-    x = [np.array([1.0, 2.0]), np.array([0.0])]
-    free = [np.array([1]), np.array([0])]
-    bounds = [(np.array([-9.0, 0.5]), np.array([9.0, 5.0])), (np.array([-1.0]), np.array([0.0]))]
-    down, up = room(x, free, bounds)
-    assert down.tolist() == [-1.5, -1.0] and up.tolist() == [3.0, 0.0]
 
 
 def test_covariance_of_a_mean_is_that_of_the_sums_of_its_blocks() -> None:

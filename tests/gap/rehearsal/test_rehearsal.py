@@ -69,16 +69,17 @@ def test_without_any_error_the_calibration_is_exact(kind: Kind) -> None:
     nothing = {*SOURCES, "motor_current"}
     draws = Draws(kind, seed=5)
     for number in range(3):
-        vehicle = replace(draws[number], matrix=np.diag([1.04, 0.95, 1.0]))
+        drawn = draws[number]
+        vehicle = replace(drawn, iron=replace(drawn.iron, matrix=np.diag([1.04, 0.95, 1.0])))
         fit = calibrate(kind, vehicle, without=nothing)
         level, tilted = heading_errors_deg(kind, vehicle, fit.correction, nothing)
         assert level < 0.03 and level <= tilted
-        assert np.allclose(fit.raw_offset_mgauss[:2], vehicle.offset_mgauss[:2], atol=0.2)
+        assert np.allclose(fit.raw_offset_mgauss[:2], vehicle.iron.offset_mgauss[:2], atol=0.2)
 
 
 def test_the_same_seed_draws_the_same_vehicles(kind: Kind) -> None:
     first, again, other = Draws(kind, 1)[4], Draws(kind, 1)[4], Draws(kind, 2)[4]
-    assert np.array_equal(first.noise, again.noise) and np.array_equal(first.matrix, again.matrix)
+    assert np.array_equal(first.noise, again.noise) and np.array_equal(first.iron.matrix, again.iron.matrix)
     assert not np.array_equal(first.noise, other.noise)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from mavcompass.gap.fit.candidates import Criteria
 from mavcompass.gap.fit.hypothesis import Fit, Term
-from mavcompass.gap.selection.posterior import Posterior, posterior_of
+from mavcompass.gap.selection.identification import Posterior, posterior_of
 from mavcompass.gap.tables import tables
 from mavcompass.simulation.effects import registry
 
@@ -39,9 +39,6 @@ class Problem:
     def refit(self, fit: Fit) -> Fit:
         return fit
 
-    def null(self) -> Fit:
-        return fit_of(sse=2000.0)
-
     def predict(self, fit: Fit) -> float:
         return self.predictions.get(fit.ids, 0.0)
 
@@ -55,10 +52,9 @@ def weighed(
     problem: Any = Problem(predictions or {})
     criteria: Any = Criteria(problem, "baseline")
     criteria.contradiction = lambda smaller, larger: spread
-    search: Any = SimpleNamespace(problem=problem, criteria=criteria)
-    none = fit_of(sse=2000.0)
-    found: Any = SimpleNamespace(null=none, explored={f.ids: f for f in (none, *fits)})
-    return posterior_of(search, found)
+    explored = {f.ids: f for f in (fit_of(sse=2000.0), *fits)}
+    search: Any = SimpleNamespace(problem=problem, criteria=criteria, explored=explored)
+    return posterior_of(search)
 
 
 @pytest.mark.parametrize("spread", [1.0, 4.0])

@@ -11,8 +11,7 @@ import pytest
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.replay.integrity import Readings
-from mavcompass.gap.traces.rapid import find_rapid
-from mavcompass.gap.traces.scattered import burst_mgauss, excess_variance
+from mavcompass.gap.traces.rapid import burst_mgauss, excess_variance, find_rapid
 from mavcompass.gap.traces.traces import stale_doubt, told_step
 
 B, NOISE = np.array([6.0, -9.0, 4.0]), 2.0

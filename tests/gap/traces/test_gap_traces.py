@@ -18,8 +18,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.diagnose import diagnose_gap
 from mavcompass.gap.replay.integrity import Readings, Trace, coarse_step, inspect
 from mavcompass.gap.replay.nominal import replay
-from mavcompass.gap.traces.rapid import find_rapid
-from mavcompass.gap.traces.scattered import excess_variance, quiet_doubt, quiet_scatter
+from mavcompass.gap.traces.rapid import excess_variance, find_rapid, quiet_doubt, quiet_scatter
 from mavcompass.gap.traces.traces import _overdue_share, find_traces, names_stale, stale_share
 from mavcompass.gap.trial.cases import Recipe, make_track
 from mavcompass.gap.trial.vehicles.cases import make_case

@@ -12,11 +12,11 @@ from vehicle_scenes import recorded, scene, vehicle_of
 
 import mavcompass.gap.trial.vehicles as package
 from mavcompass.frames import FloatArray as Array
-from mavcompass.frames import quaternion_to_matrix, rotate_back
+from mavcompass.frames import quaternion_to_matrix, rotate_back, rotvec_to_matrix
 from mavcompass.gap.trial.vehicles import Tier, VehicleCase, make_case
 from mavcompass.gap.trial.vehicles.cases import CATALOGUE
-from mavcompass.gap.trial.vehicles.effects.kind import sized
-from mavcompass.gap.trial.vehicles.motion import MOTIONS, angles, from_vector, move
+from mavcompass.gap.trial.vehicles.effects.known import sized
+from mavcompass.gap.trial.vehicles.motion import MOTIONS, angles, move
 from mavcompass.track import Track
 
 TIERS: tuple[Tier, ...] = ("none", "single", "pair", "outside")
@@ -125,7 +125,9 @@ def test_the_attitude_of_a_healthy_vehicle_is_near_the_truth(kind: str) -> None:
 )
 def test_gyro_and_accelerometer_are_those_of_the_motion(kind: str, name: str) -> None:
     motion = move(kind, name, 60.0, np.random.default_rng(8))
-    turned = motion.rotation[:-1] @ from_vector(0.01 * 0.5 * (motion.rate_radps[1:] + motion.rate_radps[:-1]))
+    turned = motion.rotation[:-1] @ rotvec_to_matrix(
+        0.01 * 0.5 * (motion.rate_radps[1:] + motion.rate_radps[:-1])
+    )
     assert np.abs(turned - motion.rotation[1:]).max() < 2e-3
     way = np.cumsum(motion.velocity_mps, axis=0) * 0.01
     np.testing.assert_allclose(np.diff(way, axis=0), np.diff(motion.position_m, axis=0), atol=2e-3)

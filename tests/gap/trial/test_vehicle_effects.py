@@ -10,7 +10,7 @@ from vehicle_scenes import scene, vehicle_of
 
 from mavcompass.frames import FloatArray as Array
 from mavcompass.gap.trial.vehicles.cases import CATALOGUE, OUTSIDE
-from mavcompass.gap.trial.vehicles.effects.kind import Kind, sized
+from mavcompass.gap.trial.vehicles.effects.known import Kind, sized
 from mavcompass.gap.trial.vehicles.scene import Effect, Scene, ambient, readings, stream
 from mavcompass.simulation.effects import catalogue
 

@@ -10,7 +10,9 @@ import numpy as np
 
 from mavcompass.frames import FloatArray as Array
 from mavcompass.gap.trial.vehicles.draw import KINDS, Site, Vehicle, draw_site, draw_vehicle
-from mavcompass.gap.trial.vehicles.effects.kind import (
+from mavcompass.gap.trial.vehicles.effects.known import (
+    ELECTRONICS,
+    FIELDS,
     FLOOR_MGAUSS,
     LARGEST,
     SMALLEST,
@@ -18,7 +20,6 @@ from mavcompass.gap.trial.vehicles.effects.kind import (
     changed_rms,
     sized,
 )
-from mavcompass.gap.trial.vehicles.effects.known import ELECTRONICS, FIELDS
 from mavcompass.gap.trial.vehicles.effects.outside import OUTSIDE
 from mavcompass.gap.trial.vehicles.motion import MOTIONS, ON_THE_WAY, Motion, move
 from mavcompass.gap.trial.vehicles.record import record

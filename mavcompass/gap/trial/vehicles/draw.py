@@ -10,7 +10,7 @@ import numpy as np
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField, decimal_year, earth_field
 from mavcompass.frames import FloatArray as Array
-from mavcompass.gap.trial.vehicles.motion import from_vector
+from mavcompass.frames import rotvec_to_matrix
 
 Cure = Literal["exact", "two_percent", "old"]
 Steering = Literal["this_compass", "another_compass", "gps_antennas"]
@@ -169,7 +169,7 @@ def _compass(rng: np.random.Generator, cure: Cure, averaged: bool, level_mgauss:
     believed_iron, believed = iron, _symmetric_part(matrix)
     believed_current = current_field
     if cure == "old":
-        turn = from_vector(np.radians(rng.normal(0.0, 0.7, 3)))
+        turn = rotvec_to_matrix(np.radians(rng.normal(0.0, 0.7, 3)))
         # More than half of the level field, and the vehicle would not have left the ground.
         most = min(200.0, 0.5 * level_mgauss)
         change = np.exp(rng.uniform(np.log(30.0), np.log(most))) * unit(rng)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavcompass.frames import FloatArray as Array
-from mavcompass.frames import euler_to_matrix, matrix_to_euler
+from mavcompass.frames import euler_to_matrix, matrix_to_euler, matrix_to_rotvec
 
 STEP_S = 0.01
 GRAVITY_NED_MPS2 = np.array([0.0, 0.0, 9.80665])
@@ -225,26 +225,10 @@ def _from_thrust(thrust_ned: Array, yaw_rad: Array) -> Array:
     return np.stack([np.cross(right, down), right, down], axis=2)
 
 
-def from_vector(vector_rad: Array) -> Array:
-    """Build the rotations (..., 3, 3) about vectors (..., 3) by their lengths (Rodrigues)."""
-    vector = np.asarray(vector_rad, dtype=np.float64)
-    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
-    cross = np.zeros((*vector.shape[:-1], 3, 3))
-    cross[..., 2, 1], cross[..., 0, 2], cross[..., 1, 0] = (vector[..., i] for i in range(3))
-    cross = cross - np.swapaxes(cross, -1, -2)
-    half = np.sinc(angle / (2.0 * np.pi))
-    return np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * half**2 * (cross @ cross)
-
-
 def _body_rates(rotation: Array, step_s: float) -> Array:
     """Differentiate rotations (N, 3, 3) at equal steps: the angular rate (N, 3) in body axes, rad/s."""
     between = np.swapaxes(rotation[:-1], 1, 2) @ rotation[1:]
-    skew = 0.5 * (between - np.swapaxes(between, 1, 2))
-    sine_vector = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)
-    sine = np.linalg.norm(sine_vector, axis=1, keepdims=True)
-    cosine = 0.5 * (np.einsum("nii->n", between) - 1.0)[:, None]
-    angle = np.arctan2(sine, cosine)
-    middle = np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 1.0) * sine_vector / step_s
+    middle = matrix_to_rotvec(between) / step_s
     padded = np.concatenate([middle[:1], middle, middle[-1:]])
     return 0.5 * (padded[:-1] + padded[1:])
 

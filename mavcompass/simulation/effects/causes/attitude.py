@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavcompass.frames import FloatArray, rotate, rotate_back
+from mavcompass.frames import FloatArray, rotate, rotate_back, rotvec_to_matrix
 from mavcompass.simulation.effects.effect import (
     GROUPS,
     Effect,
@@ -16,17 +16,16 @@ from mavcompass.simulation.effects.effect import (
     Stage,
     axes,
 )
-from mavcompass.simulation.effects.rotations import rotation_vector_matrix
 
 
 def _reference_error(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    error = rotation_vector_matrix(theta)
+    error = rotvec_to_matrix(theta)
     s = signals.stimulus
     return signals.turned(s.rotation @ error, s.rate_radps @ error)
 
 
 def _platform_tilt(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-    tilt = rotation_vector_matrix(np.array([theta[0], theta[1], 0.0]))
+    tilt = rotvec_to_matrix(np.array([theta[0], theta[1], 0.0]))
     s = signals.stimulus
     return signals.turned(tilt @ s.rotation, s.rate_radps)
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, rotvec_to_matrix
 from mavcompass.simulation.effects.effect import Effect, Stage, axes, on_iron, on_mag
-from mavcompass.simulation.effects.rotations import rotation_vector_matrix
 
 
 def _soft_iron(field: FloatArray, theta: FloatArray) -> FloatArray:
@@ -79,7 +78,7 @@ EFFECTS = (
         title="the compass is turned against the body",
         stage=Stage.MOUNTING,
         parameters=(*axes(-0.5, 0.5, (0.02, -0.03, 0.06), 0.03, "rad"), on_iron(True)),
-        forward=on_mag(lambda field, theta: field @ rotation_vector_matrix(theta[:3]).T),
+        forward=on_mag(lambda field, theta: field @ rotvec_to_matrix(theta[:3]).T),
         aliases=("declination", "attitude_reference_error", "non_orthogonality"),
         separated_by="tilt: about the vertical it is the declination exactly",
         source="raw = exp[w] m, 0.5 to 10 degrees",

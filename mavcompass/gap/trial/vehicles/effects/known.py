@@ -1,29 +1,129 @@
-"""Fields of the world and of the vehicle that the catalogue names: iron, currents, places, hulls.
+"""Kinds of effects, and those that the catalogue names, made once more: where each acts, what is drawn of it.
 
-Faults of the sensor that the catalogue names: its axes, its gains, its electronics, its timing.
+Fields of the world and of the vehicle (iron, currents, places, hulls), and faults of the sensor (axes,
+gains, electronics, timing).
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
 from mavcompass.frames import FloatArray as Array
-from mavcompass.frames import euler_to_matrix
-from mavcompass.gap.trial.vehicles.effects.kind import (
-    AXES,
-    Grow,
-    Kind,
-    Rng,
-    above,
-    along,
-    grown,
-    of,
-    only,
-    reference,
-)
-from mavcompass.gap.trial.vehicles.motion import STEP_S, from_vector
-from mavcompass.gap.trial.vehicles.scene import Scene, Stage, Values
+from mavcompass.frames import rotvec_to_matrix, sensor_orientation_matrix
+from mavcompass.gap.trial.vehicles.draw import unit
+from mavcompass.gap.trial.vehicles.motion import STEP_S
+from mavcompass.gap.trial.vehicles.scene import Effect, Scene, Stage, Values, readings, stream
+
+Rng = np.random.Generator
+Grow = Callable[[float], Values]
+AXES = "xyz"
+FLOOR_MGAUSS = 3.0
+SMALLEST, LARGEST = 0.5, 12.0
+_NEAR_ENOUGH = 0.03
+_TRIES = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """Describe a kind of effect.
+
+    Attributes:
+        id: its name; stage: where in the chain it acts.
+        draw: draws all but the size and returns what makes the parameters from a size.
+        act: changes the values (M, 3) of its stage.
+        first, most: a size to try first, and the largest that nature offers.
+        needs: "way" a path, "near" a small one on the ground, "loads" motors that work, "altitude", "wheels",
+            "warming", "each_row" a compass whose readings are not averaged and repeated.
+        sized: False for what has no size.
+    """
+
+    id: str
+    stage: Stage
+    draw: Callable[[Rng, Scene], Grow]
+    act: Callable[[Array, Values, Scene, Rng], Array]
+    first: float
+    most: float
+    needs: frozenset[str] = frozenset()
+    sized: bool = True
+
+
+def of(values: Values, names: tuple[str, ...] | str = AXES) -> Array:
+    """Pick named values as an array."""
+    return np.array([values[name] for name in names])
+
+
+def grown(rng: Rng, names: tuple[str, ...] | str = AXES, **others: float) -> Grow:
+    """Let named components grow along a drawn direction, beside values that stay."""
+    along = unit(rng, len(names))
+    return lambda size: {**dict(zip(names, (size * along).tolist(), strict=True)), **others}
+
+
+def only(name: str) -> Callable[[Rng, Scene], Grow]:
+    """Draw nothing: one named value is the size."""
+    return lambda rng, scene: lambda size: {name: size}
+
+
+def along(names: tuple[str, ...] | str = AXES) -> Callable[[Rng, Scene], Grow]:
+    """Draw a direction for named components."""
+    return lambda rng, scene: grown(rng, names)
+
+
+def reference(rng: Rng, scene: Scene) -> float:
+    """Draw the temperature at which nothing is added, near that of the start, degC."""
+    return float(scene.loads.temperature_degc[0] + rng.normal(0.0, 2.0))
+
+
+def above(p: Values, scene: Scene) -> Array:
+    """Return the temperature above the reference, (N, 1), degC."""
+    return scene.loads.temperature_degc[:, None] - p["reference_degc"]
+
+
+def changed_rms(scene: Scene, effects: tuple[Effect, ...]) -> float:
+    """Return how much effects change the raw readings without noise: rms per axis, milligauss."""
+    plain = readings(scene, scene.plain_mgauss)
+    return _rms(readings(scene, stream(scene, effects), effects) - plain)
+
+
+def sized(kind: Kind, scene: Scene, target_mgauss: float, rng: np.random.Generator) -> Effect | None:
+    """Draw an effect that changes the readings by a target (rms per axis); None where nature offers no such.
+
+    What reaches a natural limit below the target is taken as long as it changes half a floor.
+    """
+    seed = int(rng.integers(2**62))
+    grow = kind.draw(rng, scene)
+
+    def of_size(size: float) -> Effect:
+        return Effect(kind.id, kind.stage, kind.act, grow(size), seed)
+
+    if not kind.sized:
+        return of_size(1.0)
+    plain = readings(scene, scene.plain_mgauss)
+    size, power, before = kind.first, 1.0, (0.0, 0.0)
+    for _ in range(_TRIES):
+        effect = of_size(size)
+        change = _rms(readings(scene, stream(scene, (effect,)), (effect,)) - plain)
+        if change <= 0.0:
+            return None
+        if abs(change / target_mgauss - 1.0) < _NEAR_ENOUGH:
+            return effect
+        if size == kind.most and change < target_mgauss:
+            return effect if change >= SMALLEST * FLOOR_MGAUSS else None
+        here = (float(np.log(size)), float(np.log(change)))
+        if before != (0.0, 0.0) and abs(here[0] - before[0]) > 1e-6:
+            power = float(np.clip((here[1] - before[1]) / (here[0] - before[0]), 0.3, 3.0))
+        before = here
+        size = min(size * float((target_mgauss / change) ** (1.0 / power)), kind.most)
+    inside = SMALLEST * FLOOR_MGAUSS <= change <= LARGEST * FLOOR_MGAUSS
+    return effect if inside else None
+
+
+def _rms(change: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(change**2)))
+
 
 _FARTHEST_M = 800.0
 _PAIRS = ("xx", "yy", "zz", "xy", "xz", "yz")
@@ -183,22 +283,8 @@ FIELDS = (
 )  # fmt: skip
 
 
-# MAV_SENSOR_ORIENTATION: roll, pitch, yaw of the sensor in the body, degrees.
-_MOUNTINGS = {
-    2: (0, 0, 90),
-    4: (0, 0, 180),
-    6: (0, 0, 270),
-    1: (0, 0, 45),
-    7: (0, 0, 315),
-    8: (180, 0, 0),
-    10: (180, 0, 90),
-    12: (0, 180, 0),
-    14: (180, 0, 270),
-    16: (90, 0, 0),
-    20: (270, 0, 0),
-    24: (0, 90, 0),
-    25: (0, 270, 0),
-}
+# MAV_SENSOR_ORIENTATION, those that people mount.
+_MOUNTINGS = (2, 4, 6, 1, 7, 8, 10, 12, 14, 16, 20, 24, 25)
 
 
 def _act_non_orthogonality(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
@@ -207,13 +293,13 @@ def _act_non_orthogonality(values: Array, p: Values, scene: Scene, rng: Rng) -> 
 
 
 def _draw_orientation(rng: Rng, scene: Scene) -> Grow:
-    number = float(rng.choice(list(_MOUNTINGS)))
+    number = float(rng.choice(_MOUNTINGS))
     return lambda size: {"orientation": number}
 
 
 def _act_orientation(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
     # The sensor's axes in the body are the columns; each measures the field along itself.
-    return values @ euler_to_matrix(*np.radians(_MOUNTINGS[round(p["orientation"])]))
+    return values @ sensor_orientation_matrix(round(p["orientation"]))
 
 
 def _draw_temperature_sensitivity(rng: Rng, scene: Scene) -> Grow:
@@ -257,7 +343,7 @@ def _act_stale(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
 ELECTRONICS = (
     Kind("axis_scale", Stage.SENSOR, along(), lambda v, p, s, r: v * (1.0 + of(p)), 0.03, 0.3),
     Kind("non_orthogonality", Stage.SENSOR, along(_BELOW), _act_non_orthogonality, 0.03, 0.15),
-    Kind("misalignment", Stage.SENSOR, along(), lambda v, p, s, r: v @ from_vector(of(p)).T, 0.03, 0.3),
+    Kind("misalignment", Stage.SENSOR, along(), lambda v, p, s, r: v @ rotvec_to_matrix(of(p)).T, 0.03, 0.3),
     Kind("orientation", Stage.SENSOR, _draw_orientation, _act_orientation, 1.0, 1.0, sized=False),
     Kind("temperature_sensitivity", Stage.SENSOR, _draw_temperature_sensitivity,
          lambda v, p, s, r: v * (1.0 + above(p, s) * of(p)), 0.003, 0.012, frozenset({"warming"})),

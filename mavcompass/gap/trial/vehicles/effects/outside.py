@@ -6,11 +6,10 @@ import numpy as np
 import scipy
 
 from mavcompass.frames import FloatArray as Array
-from mavcompass.frames import rotate_back
+from mavcompass.frames import rotate_back, rotvec_to_matrix
 from mavcompass.gap.trial.vehicles.draw import unit
-from mavcompass.gap.trial.vehicles.effects.kind import AXES, Grow, Kind, Rng, along, grown, of, only
-from mavcompass.gap.trial.vehicles.effects.known import dipole
-from mavcompass.gap.trial.vehicles.motion import GRAVITY_NED_MPS2, STEP_S, from_vector
+from mavcompass.gap.trial.vehicles.effects.known import AXES, Grow, Kind, Rng, along, dipole, grown, of, only
+from mavcompass.gap.trial.vehicles.motion import GRAVITY_NED_MPS2, STEP_S
 from mavcompass.gap.trial.vehicles.scene import Scene, Stage, Values
 
 _GAUSS = 1000.0
@@ -122,7 +121,7 @@ def _act_flexing(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
     force = rotate_back(motion.rotation, motion.acceleration_mps2 - GRAVITY_NED_MPS2)
     bend = np.column_stack([-force[:, 1], force[:, 0], np.zeros(len(force))]) * p["rad_per_mps2"]
     bend = bend * (1.0 + 0.5 * of(p))
-    return rotate_back(from_vector(bend), values)
+    return rotate_back(rotvec_to_matrix(bend), values)
 
 
 def _act_growing_lag(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
