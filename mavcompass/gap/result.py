@@ -84,8 +84,7 @@ class Bar:
 
     effect: str
     part_mgauss2: float
-    lowest_mgauss2: float
-    highest_mgauss2: float
+    range_mgauss2: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,14 +277,7 @@ class Diagnosis:
             "ambiguity_set": [{"effects": list(ids), "weight": w} for ids, w in self.ambiguity_set],
             "where": plain(self.where),
             "gap": {"field_rms_mgauss": plain(self.field), "heading_rms_deg": plain(self.heading)},
-            "waterfall": [
-                {
-                    "effect": b.effect,
-                    "part_mgauss2": b.part_mgauss2,
-                    "range_mgauss2": [b.lowest_mgauss2, b.highest_mgauss2],
-                }
-                for b in self.waterfall
-            ],
+            "waterfall": plain(self.waterfall),
             "unknown": {
                 "flagged": self.unknown,
                 "coordinate": self.unknown_coordinate,

@@ -94,7 +94,7 @@ def test_two_causes_are_both_named_and_share_the_waterfall(baseline: Track) -> N
     total = sum(bar.part_mgauss2 for bar in diagnosis.waterfall)
     assert total == pytest.approx(diagnosis.field.nominal**2 - diagnosis.field.after**2, rel=1e-6)
     for bar in diagnosis.waterfall:
-        assert bar.lowest_mgauss2 <= bar.part_mgauss2 <= bar.highest_mgauss2
+        assert bar.range_mgauss2[0] <= bar.part_mgauss2 <= bar.range_mgauss2[1]
 
 
 def test_withheld_cause_is_called_unknown_and_named_when_restored(baseline: Track) -> None:

@@ -295,7 +295,7 @@ def waterfall(problem: Problem, named: Fit, test: NDArray[np.bool_]) -> tuple[Ba
 
     def left(chosen: Sequence[int]) -> float:
         terms, thetas = tuple(named.terms[at] for at in chosen), tuple(named.thetas[at] for at in chosen)
-        partly = Fit(terms, thetas, named.nuisance_thetas, np.inf)
+        partly = Fit(terms, thetas, named.nuisance_thetas)
         return rms(measured - problem.predict(partly).mag_mgauss[test]) ** 2
 
     value = {frozenset(c): left(c) for size in range(len(places) + 1) for c in combinations(places, size)}
@@ -305,5 +305,5 @@ def waterfall(problem: Problem, named: Fit, test: NDArray[np.bool_]) -> tuple[Ba
         weighed = [part / math.comb(len(places) - 1, len(before)) for before, part in parts]
         sizes = [part for _, part in parts]
         whose = named.terms[place].effect.id
-        bars.append(Bar(whose, sum(weighed) / len(places), min(sizes), max(sizes)))
+        bars.append(Bar(whose, sum(weighed) / len(places), (min(sizes), max(sizes))))
     return tuple(sorted(bars, key=lambda b: -b.part_mgauss2))

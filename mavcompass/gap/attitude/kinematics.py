@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
@@ -35,6 +36,16 @@ def integral(clock: FloatArray, values: FloatArray) -> FloatArray:
 def interpolated(clock: FloatArray, values: FloatArray, time_s: FloatArray) -> FloatArray:
     """Interpolate columns (N, k) linearly to other times (M,); outside the ends are held."""
     return np.stack([np.interp(time_s, clock, column) for column in values.T], axis=1)
+
+
+def averaged(values: FloatArray, width: int, straight: bool = False) -> FloatArray:
+    """Return centred running means of columns (N, k) over an odd number of rows; beyond the ends values are
+    held, or go on `straight`."""
+    half = min(width // 2, len(values) - 1)
+    pad = partial(np.pad, values, ((half, half), (0, 0)))
+    padded = pad(mode="reflect", reflect_type="odd") if straight else pad(mode="edge")
+    total = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(padded, axis=0)])
+    return np.asarray((total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1))
 
 
 def products(rotations: FloatArray) -> FloatArray:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mavcompass.chance import chance_above, chi_square_of
 from mavcompass.earth_field import middle_place
 from mavcompass.frames import FloatArray
-from mavcompass.gap.attitude.kinematics import interpolated
+from mavcompass.gap.attitude.kinematics import averaged, interpolated
 from mavcompass.gap.result import Cause
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects import detected_by
@@ -104,8 +104,8 @@ def _parts(clock: FloatArray, stretch: slice) -> list[slice]:
 
 
 def _still(clock: FloatArray, rate: FloatArray, acc: FloatArray) -> NDArray[np.bool_]:
-    width = max(3, int(usual.rest.smoothing_s / max(float(np.median(np.diff(clock))), 1e-3)))
-    smooth, force = smoothed(rate, width), smoothed(acc, width)
+    width = max(3, int(usual.rest.smoothing_s / max(float(np.median(np.diff(clock))), 1e-3))) | 1
+    smooth, force = averaged(rate, width), averaged(acc, width)
     slow = np.abs(smooth).max(axis=1) < usual.rest.largest_radps
     if not slow.any():
         return slow
@@ -116,12 +116,6 @@ def _still(clock: FloatArray, rate: FloatArray, acc: FloatArray) -> NDArray[np.b
     change = np.zeros(clock.size)
     change[width:] = np.abs(force[width:] - force[:-width]).max(axis=1)
     return np.asarray(still & (change < usual.rest.same_mps2))
-
-
-def smoothed(values: FloatArray, width: int) -> FloatArray:
-    """Return centred means of columns (N, 3) over some rows; beyond the ends is nothing."""
-    kernel = np.ones(width) / width
-    return np.stack([np.convolve(values[:, i], kernel, mode="same") for i in range(3)], axis=1)
 
 
 _STEP_S = 0.2
@@ -155,7 +149,7 @@ class Velocity:
         """
         level = np.einsum("nij,nj->ni", rotation, force)
         width = max(round(usual.receiver.compared_s / max(float(np.median(np.diff(clock))), 1e-3)), 1)
-        smooth = _running(_running(level, width), width)
+        smooth = averaged(averaged(level, width, True), width, True)
         felt = smooth[:, 0] + 1j * smooth[:, 1]
         compared = self.acceleration(clock, usual.receiver.compared_s)
         shown = compared - triangle_means(clock, compared, absorbed_s)
@@ -183,7 +177,7 @@ class Velocity:
         """
         grid = np.arange(clock[0], clock[-1] + _STEP_S, _STEP_S)
         width = round(smoothing_s / _STEP_S)
-        curve = _running(_running(self.at(grid).mean_mps, width), width)
+        curve = averaged(averaged(self.at(grid).mean_mps, width, True), width, True)
         change = np.gradient(curve, _STEP_S, axis=0)
         return interpolated(grid, change, clock)
 
@@ -227,11 +221,11 @@ def receiver_velocity(track: Track, clock: FloatArray) -> Velocity | None:
             continue
         if of_positions:
             grid = np.arange(when[0], when[-1], _STEP_S)
-            curve = _running(interpolated(when, values, grid), usual.receiver.smoothed)
+            curve = averaged(interpolated(when, values, grid), usual.receiver.smoothed, True)
             when, values = grid, np.gradient(curve, _STEP_S, axis=0)
         if when.size < usual.receiver.fewest:
             continue
-        change = np.gradient(_running(values, usual.receiver.smoothed), when, axis=0)
+        change = np.gradient(averaged(values, usual.receiver.smoothed, True), when, axis=0)
         return Velocity(when, values, change, np.maximum(white_floor(values), usual.receiver.least_mps))
     return None
 
@@ -269,12 +263,3 @@ def north_east_m(
     off_deg = np.where(np.abs(off_deg) > 180.0, off_deg - np.copysign(360.0, off_deg), off_deg)
     east = np.radians(off_deg) * EARTH_RADIUS_M * math.cos(math.radians(about_lat_deg))
     return north, east
-
-
-def _running(values: FloatArray, width: int) -> FloatArray:
-    """Return centred means of columns over an odd number of rows; straight lines go on at the ends."""
-    half = min(max(width // 2, 1), len(values) - 1)
-    left = 2.0 * values[:1] - values[half:0:-1]
-    right = 2.0 * values[-1:] - values[-2 : -half - 2 : -1]
-    total = np.cumsum(np.vstack([np.zeros((1, values.shape[1])), left, values, right]), axis=0)
-    return np.asarray((total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1))

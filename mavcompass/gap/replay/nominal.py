@@ -17,6 +17,7 @@ from mavcompass.correction import IDENTITY
 from mavcompass.earth_field import middle_place
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, rotate, rotate_back, wrap_pi
+from mavcompass.gap.attitude.kinematics import averaged
 from mavcompass.gap.attitude.reference import (
     Choice,
     Reference,
@@ -33,7 +34,7 @@ from mavcompass.gap.replay.nuisance import (
     load_of,
     reference_attitude_error,
 )
-from mavcompass.gap.replay.rows import averaged, compass_rows, middles, shared_period_s, swing, unbroken
+from mavcompass.gap.replay.rows import compass_rows, middles, shared_period_s, swing, unbroken
 from mavcompass.gap.replay.whereabouts import (
     goes_about,
     position_of,

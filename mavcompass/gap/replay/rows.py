@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from mavcompass.correction import IDENTITY
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
+from mavcompass.gap.attitude.kinematics import averaged
 from mavcompass.gap.replay.integrity import Trace, coarse_step, inspect
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
@@ -198,14 +199,6 @@ def _odd_width(time_s: FloatArray, period_s: float) -> int:
     step = float(np.median(np.diff(time_s)))
     width = max(math.ceil(period_s / max(step, 1e-6) - 0.2), 1)
     return width if width % 2 else width + 1
-
-
-def averaged(values: FloatArray, width: int) -> FloatArray:
-    """Return centred running means of columns (N, k); the ends are held."""
-    half = width // 2
-    padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
-    total = np.vstack([np.zeros((1, values.shape[1])), np.cumsum(padded, axis=0)])
-    return np.asarray((total[width:] - total[:-width]) / width)
 
 
 def middles(count: int, width: int) -> slice:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.attitude.kinematics import averaged
 from mavcompass.gap.replay.integrity import Readings
-from mavcompass.gap.replay.rows import averaged
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects import detected_by
 from mavcompass.simulation.effects.effect import FREQUENCY, Detector

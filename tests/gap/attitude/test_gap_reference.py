@@ -8,12 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mavcompass.frames import FloatArray, euler_to_matrix, matrix_to_euler, rotate, rotate_back
+from mavcompass.frames import (
+    FloatArray,
+    euler_to_matrix,
+    matrix_to_euler,
+    matrix_to_rotvec,
+    rotate,
+    rotate_back,
+    rotvec_to_matrix,
+)
 from mavcompass.gap.attitude.kinematics import (
-    exponentials,
     integrated,
     products,
-    rotation_vectors,
 )
 from mavcompass.gap.attitude.reference import body_rate, reference_attitude
 from mavcompass.gap.attitude.sensors import bias_at_rest, local_position
@@ -112,7 +118,7 @@ def test_autopilot_that_leans_by_a_bent_yaw_does_not_tilt_what_the_receiver_leve
     turned = rotate(euler_to_matrix(0.0, 0.0, bent), acceleration)
     wrong = (turned - acceleration) / STANDARD_GRAVITY_MPS2
     wrong = np.stack([np.convolve(w, np.full(100, 0.01), mode="same") for w in wrong.T], axis=1)
-    leaned = exponentials(np.cross(wrong, [0.0, 0.0, 1.0])) @ rotation
+    leaned = rotvec_to_matrix(np.cross(wrong, [0.0, 0.0, 1.0])) @ rotation
     told = np.stack(matrix_to_euler(euler_to_matrix(0.0, 0.0, bent) @ leaned), axis=1)
     track = replace(
         recorded(t, rotation, acceleration, path=path),
@@ -165,25 +171,25 @@ def test_wandering_bias_of_what_stands_hardly_tilts() -> None:
 
 
 def test_products_are_those_of_one_after_the_other() -> None:
-    rotations = exponentials(np.random.default_rng(4).standard_normal((103, 3)))
+    rotations = rotvec_to_matrix(np.random.default_rng(4).standard_normal((103, 3)))
     expected = np.eye(3)
     for one, found in zip(rotations, products(rotations), strict=True):
         expected = expected @ one
         np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
-def test_rotation_vectors_are_the_inverse_of_exponentials() -> None:
+def test_matrix_to_rotvec_are_the_inverse_of_rotvec_to_matrix() -> None:
     rng = np.random.default_rng(7)
     axes = rng.standard_normal((200, 3))
     angles = np.concatenate([[0.0, 1e-12], rng.uniform(1e-6, 3.1, 198)])
     vectors = axes / np.linalg.norm(axes, axis=1, keepdims=True) * angles[:, None]
-    np.testing.assert_allclose(rotation_vectors(exponentials(vectors)), vectors, atol=1e-9)
+    np.testing.assert_allclose(matrix_to_rotvec(rotvec_to_matrix(vectors)), vectors, atol=1e-9)
 
 
 def test_coning_does_not_make_the_attitude_drift() -> None:
     t = np.arange(0.0, 30.0, 0.05)
     # The axis of 0.3 rad goes round four times in ten seconds: rotations that do not commute.
-    rotation = exponentials(
+    rotation = rotvec_to_matrix(
         0.3 * np.stack([np.cos(0.8 * math.pi * t), np.sin(0.8 * math.pi * t), 0.0 * t], axis=1)
     )
     found = integrated(t, body_rate(t, rotation))

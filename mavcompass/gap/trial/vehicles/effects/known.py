@@ -175,11 +175,6 @@ def _draw_relay(rng: Rng, scene: Scene) -> Grow:
     return grown(rng, source=float(source), threshold=threshold)
 
 
-def _act_relay(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
-    closed = _load(scene, round(p["source"])) > p["threshold"]
-    return values + np.outer(closed, of(p))
-
-
 def _draw_dipole(rng: Rng, scene: Scene) -> Grow:
     path = scene.motion.position_m
     path = path[np.abs(path).max(axis=1) < _FARTHEST_M]
@@ -219,10 +214,6 @@ def _act_gradient(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
 def _draw_eddy(rng: Rng, scene: Scene) -> Grow:
     shares = np.exp(rng.uniform(-1.0, 0.0, 3))
     return lambda size: dict(zip(AXES, (size * shares).tolist(), strict=True))
-
-
-def _act_eddy(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
-    return values - of(p) * np.gradient(values, STEP_S, axis=0)
 
 
 def _draw_hysteresis(rng: Rng, scene: Scene) -> Grow:
@@ -271,13 +262,16 @@ FIELDS = (
     Kind("motor_current", Stage.OUTPUT, along(), lambda v, p, s, r: v + np.outer(s.loads.current_a, of(p)),
          1.0, 20.0, frozenset({"loads"})),
     Kind("per_motor", Stage.OUTPUT, _draw_per_motor, _act_per_motor, 20.0, 400.0, frozenset({"loads"})),
-    Kind("relay_field", Stage.OUTPUT, _draw_relay, _act_relay, 20.0, 200.0, frozenset({"loads"})),
+    Kind("relay_field", Stage.OUTPUT, _draw_relay,
+         lambda v, p, s, r: v + np.outer(_load(s, round(p["source"])) > p["threshold"], of(p)),
+         20.0, 200.0, frozenset({"loads"})),
     Kind("temperature_bias", Stage.OUTPUT, lambda r, s: grown(r, reference_degc=reference(r, s)),
          lambda v, p, s, r: v + above(p, s) * of(p), 1.0, 8.0, frozenset({"warming"})),
     Kind("spatial_dipole", Stage.WORLD, _draw_dipole, _act_dipole, 50.0, 8000.0, frozenset({"way"})),
     Kind("field_gradient", Stage.WORLD, along(("nn", "ee", "ne", "nd", "ed")), _act_gradient, 1.0, 60.0,
          frozenset({"way", "near"})),
-    Kind("eddy_current", Stage.AMBIENT, _draw_eddy, _act_eddy, 0.03, 0.18),
+    Kind("eddy_current", Stage.AMBIENT, _draw_eddy,
+         lambda v, p, s, r: v - of(p) * np.gradient(v, STEP_S, axis=0), 0.03, 0.18),
     Kind("hysteresis", Stage.AMBIENT, _draw_hysteresis, _act_hysteresis, 10.0, 60.0),
     Kind("ac_interference", Stage.OUTPUT, _draw_ac, _act_ac, 10.0, 200.0),
 )  # fmt: skip
@@ -330,10 +324,6 @@ def _act_cross_axis(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
     return values * gain
 
 
-def _act_set_reset(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
-    return values + np.where(np.arange(len(values)) % 2 == 0, 1.0, -1.0)[:, None] * of(p)
-
-
 def _act_stale(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
     fresh = rng.random(len(values)) >= p["fraction"]
     fresh[0] = True
@@ -352,7 +342,9 @@ ELECTRONICS = (
     Kind("transport_lag", Stage.STREAM, only("lag_s"), _act_lag, 0.05, 0.3),
     Kind("low_pass", Stage.STREAM, only("time_constant_s"), _act_low_pass, 0.05, 0.35),
     Kind("cross_axis", Stage.SENSOR, along(_CROSSED), _act_cross_axis, 0.03, 0.15),
-    Kind("set_reset_offset", Stage.READING, along(), _act_set_reset, 10.0, 100.0, frozenset({"each_row"})),
+    Kind("set_reset_offset", Stage.READING, along(),
+         lambda v, p, s, r: v + np.where(np.arange(len(v)) % 2 == 0, 1.0, -1.0)[:, None] * of(p),
+         10.0, 100.0, frozenset({"each_row"})),
     Kind("noise_excess", Stage.READING, only("sigma_mgauss"),
          lambda v, p, s, r: v + p["sigma_mgauss"] * r.standard_normal(v.shape), 5.0, 60.0),
     Kind("stale_samples", Stage.READING, only("fraction"), _act_stale, 0.3, 0.9),

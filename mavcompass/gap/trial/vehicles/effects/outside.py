@@ -15,10 +15,6 @@ from mavcompass.gap.trial.vehicles.scene import Scene, Stage, Values
 _GAUSS = 1000.0
 
 
-def _act_altitude(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
-    return values - np.outer(scene.motion.position_m[:, 2], of(p))
-
-
 def _draw_sticking(rng: Rng, scene: Scene) -> Grow:
     axis, spell = float(rng.integers(3)), float(rng.uniform(2.0, 8.0))
     return lambda size: {"axis": axis, "spell_s": spell, "share": size}
@@ -36,22 +32,9 @@ def _act_sticking(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
     return out
 
 
-def _draw_flips(rng: Rng, scene: Scene) -> Grow:
-    return grown(rng, mean_spell_s=float(rng.uniform(6.0, 25.0)))
-
-
 def _act_flips(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
     flip = rng.random(len(values)) < STEP_S / p["mean_spell_s"]
     return values + np.outer(np.cumsum(flip) % 2, of(p))
-
-
-def _act_speed_gain(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
-    speed = np.linalg.norm(scene.motion.velocity_mps, axis=1, keepdims=True)
-    return values * (1.0 + speed * of(p))
-
-
-def _draw_bursts(rng: Rng, scene: Scene) -> Grow:
-    return grown(rng, frequency_hz=float(rng.uniform(15.0, 48.0)), every_s=float(rng.uniform(6.0, 15.0)))
 
 
 def _act_bursts(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
@@ -91,10 +74,6 @@ def _act_swinging(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
     # Seen from the magnet the compass is above it.
     apart = -p["length_m"] * rotate_back(scene.motion.rotation, hanging)
     return values + dipole(apart, of(p, ("moment_forward", "moment_right", "moment_down")))
-
-
-def _draw_chirp(rng: Rng, scene: Scene) -> Grow:
-    return grown(rng, from_hz=float(rng.uniform(0.05, 0.4)), to_hz=float(rng.uniform(1.0, 4.0)))
 
 
 def _act_chirp(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
@@ -147,15 +126,25 @@ def _act_wheel(values: Array, p: Values, scene: Scene, rng: Rng) -> Array:
 
 
 OUTSIDE = (
-    Kind("altitude_offset", Stage.OUTPUT, along(), _act_altitude, 1.0, 20.0, frozenset({"altitude"})),
+    Kind("altitude_offset", Stage.OUTPUT, along(),
+         lambda v, p, s, r: v - np.outer(s.motion.position_m[:, 2], of(p)),
+         1.0, 20.0, frozenset({"altitude"})),
     Kind("sticking_axis", Stage.READING, _draw_sticking, _act_sticking, 0.2, 0.8),
     Kind("cubic_saturation", Stage.STREAM, only("fraction_at_1_gauss"),
          lambda v, p, s, r: v * (1.0 - p["fraction_at_1_gauss"] * (v / _GAUSS) ** 2), 0.2, 0.8),
-    Kind("offset_flips", Stage.OUTPUT, _draw_flips, _act_flips, 20.0, 200.0),
-    Kind("speed_gain", Stage.SENSOR, along(), _act_speed_gain, 0.01, 0.1, frozenset({"way"})),
-    Kind("blade_bursts", Stage.OUTPUT, _draw_bursts, _act_bursts, 20.0, 400.0, frozenset({"each_row"})),
+    Kind("offset_flips", Stage.OUTPUT,
+         lambda r, s: grown(r, mean_spell_s=float(r.uniform(6.0, 25.0))), _act_flips, 20.0, 200.0),
+    Kind("speed_gain", Stage.SENSOR, along(),
+         lambda v, p, s, r: v * (1.0 + np.linalg.norm(s.motion.velocity_mps, axis=1, keepdims=True) * of(p)),
+         0.01, 0.1, frozenset({"way"})),
+    Kind("blade_bursts", Stage.OUTPUT,
+         lambda r, s: grown(
+             r, frequency_hz=float(r.uniform(15.0, 48.0)), every_s=float(r.uniform(6.0, 15.0))),
+         _act_bursts, 20.0, 400.0, frozenset({"each_row"})),
     Kind("swinging_load", Stage.AMBIENT, _draw_swinging, _act_swinging, 10.0, 5000.0),
-    Kind("chirp", Stage.OUTPUT, _draw_chirp, _act_chirp, 20.0, 200.0),
+    Kind("chirp", Stage.OUTPUT,
+         lambda r, s: grown(r, from_hz=float(r.uniform(0.05, 0.4)), to_hz=float(r.uniform(1.0, 4.0))),
+         _act_chirp, 20.0, 200.0),
     Kind("current_memory", Stage.OUTPUT, lambda r, s: grown(r, memory_s=float(r.uniform(8.0, 30.0))),
          _act_current_memory, 2.0, 60.0, frozenset({"loads"})),
     Kind("flexing_mast", Stage.SENSOR, _draw_flexing, _act_flexing, 0.02, 0.2),
