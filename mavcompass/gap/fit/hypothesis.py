@@ -101,13 +101,6 @@ class Fit:
                 return value
         return None
 
-    def theta(self, effect_id: str) -> FloatArray:
-        """Return the parameters of one effect."""
-        for term, theta in zip(self.terms, self.thetas, strict=True):
-            if term.effect.id == effect_id:
-                return theta
-        raise KeyError(effect_id)
-
 
 def active_dimension(term: Term, theta: FloatArray) -> int:
     """Count the parameters that a fitted term uses: integers and moments of change count too."""

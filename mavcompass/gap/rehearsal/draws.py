@@ -10,13 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.calibration.rigid import CROSS_TERMS_BEFORE, DEFAULT_PRIOR
+from mavcompass.correction import IDENTITY
 from mavcompass.frames import FloatArray
 from mavcompass.gap.export.vehicle import affine_map
 from mavcompass.gap.rehearsal.kind import Kind
+from mavcompass.gap.replay.nuisance import KnownIron
 from mavcompass.gap.result import MATRIX, MOTOR, OFFSET, Belief, Diagnosis, Iron
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects import Setting, get
-from mavcompass.simulation.effects.effect import Distortion, Effect, Memory, Rng, Signals, Stage
+from mavcompass.simulation.effects.effect import Distortion
 
 IRON_NAMES = (
     *(f"offset_{axis}" for axis in "xyz"),
@@ -36,18 +38,8 @@ _ACTING = frozenset({"mean", "discrete"})
 
 def iron_settings(iron: Iron, load: FloatArray) -> list[Setting]:
     """Make raw = A field + b + motor load, `load` (N,), where a diagnosis has them in the chain."""
-
-    def bent(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-        return signals.with_mag(signals.reading.mag_mgauss @ iron.matrix.T)
-
-    def moved(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-        added = iron.offset_mgauss + np.nan_to_num(load)[:, np.newaxis] * iron.motor_mgauss
-        return signals.with_mag(signals.reading.mag_mgauss + added)
-
-    return [
-        Setting(Effect("the vehicle's matrix", "", stage, (), forward, affine=True), np.zeros(0))
-        for stage, forward in ((Stage.MATRIX, bent), (Stage.FIELD, moved))
-    ]
+    known = KnownIron(iron.matrix, iron.offset_mgauss, iron.motor_mgauss, IDENTITY, np.nan_to_num(load))
+    return [Setting(effect, effect.default) for effect in known.effects()]
 
 
 def effects_in(belief: Belief, values: FloatArray) -> list[Setting]:

@@ -175,9 +175,8 @@ def replay(
     stimulus = _stimulus(track, position, taken_s, rows.width, reference, field, turns)
     load, source = load_of(correction.motor_source, stimulus.current_a, stimulus.throttle)
     iron = known_iron(correction, load, source)
-    turning = rotate_back(whole.rotation, np.broadcast_to(field, raw.shape)) @ iron.matrix.T
-    steady = iron.offset_mgauss + np.interp(taken_s, time_s, iron.load)[:, None] * iron.motor_mgauss
-    readings = Readings.of(rows.time_s, raw, turning + steady, known)
+    seen = rotate_back(whole.rotation, np.broadcast_to(field, raw.shape))
+    readings = Readings.of(rows.time_s, raw, iron.raw(seen, np.interp(taken_s, time_s, iron.load)), known)
     if rows.width > 1:
         raw = averaged(raw, rows.width)[picked] + swings[picked]
         if corrected is not None:

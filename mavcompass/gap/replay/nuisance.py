@@ -197,9 +197,11 @@ class KnownIron(Iron):
         """Tell a calibration from none."""
         return self.correction != IDENTITY
 
-    def raw(self, field_mgauss: FloatArray) -> FloatArray:
-        """Return what the raw sensor says of a field (N, 3) in body axes, if the calibration is right."""
-        return field_mgauss @ self.matrix.T + self.offset_mgauss + self.load[:, None] * self.motor_mgauss
+    def raw(self, field_mgauss: FloatArray, load: FloatArray | None = None) -> FloatArray:
+        """Return what the raw sensor says of a field (N, 3) in body axes, under its load or another (N,), if
+        the calibration is right."""
+        motors = (self.load if load is None else load)[:, None] * self.motor_mgauss
+        return field_mgauss @ self.matrix.T + self.offset_mgauss + motors
 
     def field(self, raw_mgauss: FloatArray) -> FloatArray:
         """Return the field (N, 3) in body axes that the calibration makes of raw readings."""
@@ -209,14 +211,13 @@ class KnownIron(Iron):
     def nuisances(self, trust: Trust) -> tuple[Nuisance, Nuisance]:
         """Return the iron as part of the nominal simulation, with what is not known of it."""
         sigma = self.sigma(trust)
-        matrix = Nuisance.of(self._matrix_effect(), np.zeros(9), sigma[3:])
-        sigma = sigma[:3]
+        (matrix, offset), sigma, bent = self.effects(), sigma[:3], sigma[3:]
         if self.load.any():
             varies = float(np.ptp(self.load))
             # A load that is always the same tells nothing: its field is part of the offset.
             told = varies > usual.present.load_share * abs(float(self.load.mean()))
             sigma = np.concatenate([sigma, np.full(3, trust.motor_mgauss / varies if told else 1e-6)])
-        return matrix, Nuisance.of(self._offset_effect(), np.zeros(sigma.size), sigma)
+        return Nuisance.of(matrix, np.zeros(9), bent), Nuisance.of(offset, np.zeros(sigma.size), sigma)
 
     def sigma(self, trust: Trust) -> FloatArray:
         """Return how far offsets (3, in mG) and matrix elements (9) may be off, (12,)."""
@@ -224,31 +225,30 @@ class KnownIron(Iron):
         cured = float(np.abs(self.matrix - np.eye(3)).max())
         return np.concatenate([offset, np.full(9, trust.matrix + trust.share * cured)])
 
-    def _matrix_effect(self) -> Effect:
-        def forward(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
-            return signals.with_mag(
-                signals.reading.mag_mgauss @ (self.matrix @ (np.eye(3) + theta.reshape(3, 3))).T
-            )
-
-        entries = tuple(Parameter(n, "1", -0.9, 0.9, 0.0, 0.01) for n in _ENTRIES)
-        title = "the matrix that the calibration in force cures"
-        return Effect(IRON_MATRIX, title, Stage.MATRIX, entries, forward, affine=True)
-
-    def _offset_effect(self) -> Effect:
+    def effects(self) -> tuple[Effect, Effect]:
+        """Return the matrix, and the offset with the motors' field, by what they are more than known."""
         # What is not known of the motors counts from their usual load: the offset stays the offset.
-        unusual = self.load - self.load.mean()
+        motors = self.load[:, None] * self.motor_mgauss
+        unusual = self.load - self.load.mean() if self.load.size else self.load
 
-        def forward(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
+        def bent(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
+            matrix = self.matrix @ (np.eye(3) + theta.reshape(3, 3))
+            return signals.with_mag(signals.reading.mag_mgauss @ matrix.T)
+
+        def moved(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
             offset = np.asarray(self.offset_mgauss + theta[:3])
             if theta.size > 3:
-                offset = offset + self.load[:, None] * self.motor_mgauss + unusual[:, None] * theta[3:]
+                offset = offset + motors + unusual[:, None] * theta[3:]
             return signals.with_mag(signals.reading.mag_mgauss + offset)
 
-        parameters = tuple(Parameter(n, "mG", -2000.0, 2000.0, 0.0, 10.0) for n in "xyz")
+        entries = tuple(Parameter(n, "1", -0.9, 0.9, 0.0, 0.01) for n in _ENTRIES)
+        shifts = tuple(Parameter(n, "mG", -2000.0, 2000.0, 0.0, 10.0) for n in "xyz")
         if self.load.any():
-            parameters += tuple(Parameter(f"motor_{n}", "mG", -2000.0, 2000.0, 0.0, 1.0) for n in "xyz")
-        title = "the offset that the calibration in force cures"
-        return Effect(IRON_OFFSET, title, Stage.FIELD, parameters, forward)
+            shifts += tuple(Parameter(f"motor_{n}", "mG", -2000.0, 2000.0, 0.0, 1.0) for n in "xyz")
+        return (
+            Effect(IRON_MATRIX, "the matrix that is cured", Stage.MATRIX, entries, bent, affine=True),
+            Effect(IRON_OFFSET, "the offset that is cured", Stage.FIELD, shifts, moved),
+        )
 
 
 def known_iron(correction: FieldCorrection, load: FloatArray, source: MotorSource) -> KnownIron:

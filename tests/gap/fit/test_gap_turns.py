@@ -33,7 +33,7 @@ def test_a_turn_that_a_magnet_hides_is_seen_beside_the_magnet(turn: int) -> None
     nothing = Fit((), (), magnet.nuisance_thetas, np.inf)
     beside = min(facing(problem, terms, magnet, np.inf), key=lambda f: f.sse)
     by_itself = min(facing(problem, terms, nothing, np.inf), key=lambda f: f.sse)
-    assert beside.ids == {"orientation", "spatial_dipole"} and beside.theta("orientation") == turn
+    assert beside.ids == {"orientation", "spatial_dipole"} and beside.value("orientation") == turn
     noise = 3 * len(problem.groups) * problem.count
     assert beside.sse < 1.2 * noise < 0.01 * by_itself.sse
     # What may leave no less than there is without it is not fitted to its end.

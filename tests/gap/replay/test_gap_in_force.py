@@ -155,7 +155,7 @@ def test_search_takes_the_hard_iron_and_nothing_beside_it(replayed: Replay) -> N
     some = [effects.catalogue()[name] for name in ("hard_iron", "axis_scale", "motor_current")]
     found = Search(plain(replayed), some).run(2)
     assert found.ids == {"hard_iron"}
-    np.testing.assert_allclose(found.theta("hard_iron"), [40.0, -25.0, 10.0], atol=1.0)
+    np.testing.assert_allclose(found.thetas[0], [40.0, -25.0, 10.0], atol=1.0)
 
 
 def bends_of_the_yaw(t: FloatArray, yaw: FloatArray) -> FloatArray:
