@@ -23,7 +23,7 @@ from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.replay.nuisance import REFERENCE_YAW
 from mavcompass.gap.result import Bar, Cause, Closing
 from mavcompass.gap.selection.identification import Identified, Remainder
-from mavcompass.gap.tables import Kind, tables
+from mavcompass.gap.tables import Kind, tables, usual
 from mavcompass.gap.traces.traces import Traces
 from mavcompass.simulation.effects.effect import LIMIT
 from mavcompass.track import Track
@@ -140,14 +140,8 @@ def _reduced(problem: Problem, fit: Fit) -> float:
     return max(_squares(problem, fit) / size, 1e-3) if size else 1.0
 
 
-# Held-out readings that an effect changes by less than this (squared sigmas, in all) cannot judge it.
-_SILENT = 9.0
 _RESAMPLES = 1000
 _BLOCK_S = 1.0
-_SURE_SIGMAS = 2.0
-# A shrink that may lie anywhere is not told farther than this beyond nothing and everything.
-_FARTHEST = 1.0
-_AT_THE_LIMIT = 1.0 - 1e-4
 _SEED = 7
 
 
@@ -176,7 +170,7 @@ def figures(evidence: Evidence, named: Fit, with_scatter: bool) -> tuple[Closing
     # A reading at the limit of a saturated sensor has no scatter of its own.
     limit, free = named.value(LIMIT), 1.0
     if limit is not None and rows.size:
-        free = math.sqrt(float(np.mean(np.abs(measured[rows]) < _AT_THE_LIMIT * limit)))
+        free = math.sqrt(float(np.mean(np.abs(measured[rows]) < usual.shrink.at_the_limit * limit)))
     step_s = max(_BLOCK_S, 10.0 * float(np.median(np.diff(replay.time_s))))
     block = np.floor((replay.time_s[rows] - replay.time_s[rows[:1]]) / step_s).astype(np.int64)
     field = _closing(
@@ -201,7 +195,7 @@ def shows(problem: Problem, fit: Fit, test: NDArray[np.bool_]) -> bool:
     """Tell whether the effects change held-out readings enough to be judged by them."""
     held = problem.with_rows(test)
     change = held.shift(held.predict(fit), held.predict(fit, effects=False))
-    return float(np.sum(change**2)) > _SILENT
+    return float(np.sum(change**2)) > usual.shrink.silent
 
 
 def yaw_wander_deg(problem: Problem, fit: Fit, floor: Floor, heading: Closing) -> float:
@@ -227,7 +221,7 @@ def _closing(
     """Measure one figure; no change where effects that show elsewhere leave it as it was."""
     nominal2, after2 = float(np.mean(before**2)) + unseen, float(np.mean(after**2))
     # What is left beside named scatter is known no better than the scatter of so many readings allows.
-    chance = _SURE_SIGMAS * math.sqrt(2.0 / max(after.size, 1)) * added
+    chance = usual.shrink.sigmas * math.sqrt(2.0 / max(after.size, 1)) * added
     after2 = max(after2 - added - chance, min(after2, floor**2)) if added else after2
     # Where less is left than the floor allows, the floor of this recording lies no higher.
     least = min(floor, math.sqrt(after2))
@@ -282,7 +276,7 @@ def _interval(
     if not gap.mean() > 0.975:
         # So small a gap may be none at all: anything between nothing and everything may be closed.
         low, high = min(low, 0.0), max(high, 1.0)
-    return max(low, -_FARTHEST), min(high, 1.0 + _FARTHEST)
+    return max(low, -usual.shrink.farthest), min(high, 1.0 + usual.shrink.farthest)
 
 
 def waterfall(problem: Problem, named: Fit, test: NDArray[np.bool_]) -> tuple[Bar, ...]:

@@ -21,6 +21,7 @@ from mavcompass.gap.left.floor import apart
 from mavcompass.gap.result import Cause, Diagnosis, plain
 from mavcompass.gap.selection.identification import Identified
 from mavcompass.gap.selection.split import between_rows
+from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects import get
 from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, Parameter
 
@@ -31,8 +32,6 @@ _COST = _SIGMAS**2
 _FIRST_STEP, _GROWTH, _HALVINGS = 1e-3, 4.0, 12
 
 _Interval = tuple[float, float]
-# Models are not exact: values agree within four sigmas, or a fifth of their size.
-_AGREEING_SIGMAS, _SHARE = 4.0, 0.2
 
 
 def intervals(problem: Problem, fit: Fit) -> list[dict[str, _Interval]]:
@@ -241,7 +240,7 @@ def _agree(causes: Sequence[Cause]) -> bool:
         joint, _ = _mean(causes, name)
         for cause in causes:
             off = abs(cause.parameters.get(name, 0.0) - joint)
-            if off > max(_AGREEING_SIGMAS * _sigma_of(cause, name), _SHARE * size):
+            if off > max(usual.equivalent.sigmas * _sigma_of(cause, name), usual.equivalent.of_size * size):
                 return False
     return True
 

@@ -20,14 +20,9 @@ from mavcompass.gap.fit.hypothesis import Fit, Term, active_dimension, placement
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.replay.noise import group_values
 from mavcompass.gap.replay.nuisance import REFERENCE_YAW, WORLD_FIELD, yaw_starts
-from mavcompass.gap.tables import Kind, tables
+from mavcompass.gap.tables import Kind, tables, usual
 from mavcompass.simulation.effects.effect import Effect, Misfit, Signals
 from mavcompass.simulation.physics.signals import Reading
-
-# A shift that the derivatives make themselves to this share is no column of its own.
-_OWN_SHARE = 1e-2
-# Natural sizes of a parameter that a first guess may move by where the recording hardly tells it.
-_MOST_SIZES = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +43,7 @@ class Candidate:
     @property
     def usual(self) -> FloatArray:
         """Return how far its columns' values may lie from where it begins, in passing, (k,)."""
-        sizes = _MOST_SIZES * np.maximum(self.term.effect.scale[self.term.free], 1e-12)
+        sizes = usual.search.sizes * np.maximum(self.term.effect.scale[self.term.free], 1e-12)
         return np.append(sizes, 1.0) if self.shifted else sizes
 
     def values(self, solved: FloatArray) -> FloatArray:
@@ -167,7 +162,7 @@ class Candidates:
             if own.shape[1]:
                 solved = solve(own.T @ own, own.T @ left, RIDGE)
                 left = left - own @ solved
-            shifted = float(left @ left) > _OWN_SHARE * float(shift @ shift)
+            shifted = float(left @ left) > usual.search.own_share * float(shift @ shift)
             if not shifted and own.shape[1]:
                 # The derivatives hold the shift: they count from nothing.
                 theta = theta.copy()
@@ -200,12 +195,6 @@ class Candidates:
             nuisances.append(np.clip(moved, nuisance.effect.lower, nuisance.effect.upper))
             at += theta.size
         return Fit((*held.terms, *(c.term for c in chosen)), tuple(thetas), tuple(nuisances))
-
-
-_BLOCK_S, _MOST_BLOCKS = 5.0, 30
-_BEAM = 5
-# Sets that come so near to the best one of their size are fitted through the simulation, so many at most.
-_NEAR, _FITTED = 40.0, 4
 
 
 class Criteria:
@@ -266,7 +255,7 @@ class Criteria:
     def blocks(self) -> NDArray[np.int64]:
         """Label the rows of a replay (N,) by what may err together, thirty blocks at most."""
         time = self._problem.replay.time_s
-        length = max(_BLOCK_S, float(time[-1] - time[0]) / _MOST_BLOCKS)
+        length = max(usual.search.block_s, float(time[-1] - time[0]) / usual.search.most_blocks)
         return np.floor((time - time[0]) / length).astype(np.int64)
 
 
@@ -304,13 +293,13 @@ def likeliest_sets(
             sets |= {other for gone in best for other in grown(tuple(m for m in best if m != gone))}
             weigh(sets)
         ranked = sorted(sets, key=scores.__getitem__)
-        beam = ranked[: _BEAM if size > 1 else 2 * _BEAM]
+        beam = ranked[: usual.search.beam if size > 1 else 2 * usual.search.beam]
         smaller, lowest = lowest, scores[ranked[0]]
         seen: dict[frozenset[str], tuple[int, ...]] = {}
-        for members in ranked[: 8 * _FITTED]:
+        for members in ranked[: 8 * usual.search.fitted]:
             seen.setdefault(frozenset(effect[i] for i in members), members)
-        near = [m for m in seen.values() if scores[m] < lowest + _NEAR]
-        out[size] = [tuple(every[i] for i in members) for members in near[:_FITTED]]
+        near = [m for m in seen.values() if scores[m] < lowest + usual.search.near]
+        out[size] = [tuple(every[i] for i in members) for members in near[: usual.search.fitted]]
         if lowest > smaller + criteria.cost(2, 0):
             break
     return out

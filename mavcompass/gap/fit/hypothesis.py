@@ -11,14 +11,11 @@ from numpy.typing import NDArray
 
 from mavcompass.chance import chi_square_of
 from mavcompass.frames import FloatArray
+from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.effect import MOMENTS, ON_IRON, Effect, Parameter, Signals
 
 CHANCE = 2.0e-5
 Mask = NDArray[np.bool_]
-# A direction that the data do not tell stays near zero: amplitudes have priors of twenty natural sizes.
-_PRIOR_SIZES = 20.0
-# With less iron beside it, it does not matter whether an error of the sensor acts on that too.
-_IRON_TO_TELL_MGAUSS = 10.0
 
 
 @lru_cache(maxsize=1024)
@@ -131,7 +128,7 @@ def placements(effect: Effect, theta: FloatArray, iron_mgauss: FloatArray) -> li
     if ON_IRON not in effect.names:
         return [theta]
     place = effect.names.index(ON_IRON)
-    differs = float(np.abs(iron_mgauss).max()) > _IRON_TO_TELL_MGAUSS
+    differs = float(np.abs(iron_mgauss).max()) > usual.present.iron_mgauss
     both = (0.0, 1.0) if differs else (float(effect.default[place]),)
     return [np.concatenate([theta[:place], [on], theta[place + 1 :]]) for on in both]
 
@@ -140,7 +137,7 @@ def weak_precision(terms: Sequence[Term]) -> FloatArray:
     """Return the prior precision of each free parameter: none for those that are no amplitudes."""
     return np.array(
         [
-            1.0 / (_PRIOR_SIZES * p.scale) ** 2 if _is_amplitude(p) else 0.0
+            1.0 / (usual.search.prior_sizes * p.scale) ** 2 if _is_amplitude(p) else 0.0
             for term in terms
             for p, free in zip(term.effect.parameters, term.free, strict=True)
             if free

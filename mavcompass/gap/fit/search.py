@@ -20,16 +20,11 @@ from mavcompass.gap.fit.candidates import Candidate, Candidates, Criteria, likel
 from mavcompass.gap.fit.hypothesis import Fit, Term, least_gain, make_term
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.replay.nuisance import REFERENCE_YAW, TELEMETRY_AGE, Nuisance, yaw_starts
-from mavcompass.gap.tables import Kind
+from mavcompass.gap.tables import Kind, usual
 from mavcompass.simulation.effects.effect import MOMENTS, Effect
 
 # So many steps tell whether a fit is worth going on with.
 FEW_STEPS = 3
-_LIKELY_YAWS = 2
-# A start so near, in natural sizes, leads to where a fit is.
-_SAME = 0.1
-# Twice the gain that a useless parameter has on average.
-_PRUNING = 2.0
 
 
 def unbent(problem: Problem, fit: Fit, curves: bool = False) -> Fit:
@@ -83,7 +78,7 @@ def facing(problem: Problem, terms: Sequence[Term], beside: Fit, most_sse: float
                 # Where the yaw may be anything, one of six is off by so much that it takes a few steps more.
                 fits = [problem.fit(f, FEW_STEPS) for f in fits[:1]]
             # Elsewhere one step is enough to see that a compass is not mounted so.
-            likely = [fit for fit in fits[:_LIKELY_YAWS] if fit.sse < most_sse]
+            likely = [fit for fit in fits[: usual.search.yaws] if fit.sse < most_sse]
             if likely:
                 out.append(min(map(problem.refit, likely), key=lambda f: f.sse))
     return out
@@ -99,13 +94,6 @@ def _in_order(fit: Fit, like: Fit) -> Fit:
 
 MOST_EFFECTS = 4
 _ROUNDS = 4
-# What is so much cheaper is worth another search; seen beside so many effects alone.
-_FAR_LIKELIER, _ALONE = 20.0, 2
-# Fits of one set that differ by less in their sum of squares are as good, or good enough to linearise beside.
-_AS_GOOD, _AS_GOOD_SHARE = 1.0, 0.01
-_HOPEFUL = 0.7
-# What leaves so many times the noise is not all.
-_UNEXPLAINED = 1.3
 
 
 def pruned(problem: Problem, fit: Fit) -> Fit:
@@ -128,7 +116,7 @@ def pruned(problem: Problem, fit: Fit) -> Fit:
                 terms = (*fit.terms[:i], replace(term, free=free), *fit.terms[i + 1 :])
                 thetas = (*fit.thetas[:i], theta, *fit.thetas[i + 1 :])
                 trial = problem.fit(Fit(terms, thetas, fit.nuisance_thetas), FEW_STEPS)
-                if trial.sse < fit.sse + _PRUNING:
+                if trial.sse < fit.sse + usual.search.pruning:
                     options.append(trial)
         if not options:
             return fit
@@ -181,11 +169,11 @@ class Search:
         turns = facing(self.problem, self.terms, Fit(nuisance_thetas=means), null.sse)
         noise = 3 * len(self.problem.groups) * self.problem.count
         explained = min((fit.sse for fit in turns), default=np.inf)
-        if explained < _UNEXPLAINED * noise:
+        if explained < usual.search.unexplained * noise:
             best = self._rounds(null, most, (), best, 1)
         nearest = np.inf if best.is_turned else best.sse
         # A turn that leaves nothing, where nothing else comes near at once, needs no second look at others.
-        if explained > min(_UNEXPLAINED * noise, _HOPEFUL * nearest):
+        if explained > min(usual.search.unexplained * noise, usual.search.hopeful * nearest):
             best = self._rounds(null, most, (), best)
         for turned in self._turned(null, best, turns):
             before = self.criteria.temper
@@ -215,7 +203,7 @@ class Search:
             for term, theta in zip(best.terms, best.thetas, strict=True)
         ]
         empty, fits = Fit(), [best]
-        for one in sorted(ones, key=self.criteria.score)[:_ALONE]:
+        for one in sorted(ones, key=self.criteria.score)[: usual.search.alone]:
             if (one.ids, 0) not in self._candidates:
                 candidates = self._linearised(self.problem.refit(one), ())
                 sets = likeliest_sets(candidates, self.criteria, 2).get(2, ())
@@ -223,7 +211,7 @@ class Search:
         self._remember(fits)
         likeliest = min(fits, key=self.criteria.score)
         gained = self.criteria.score(best) - self.criteria.score(likeliest)
-        return likeliest if gained > _FAR_LIKELIER else best
+        return likeliest if gained > usual.search.far_likelier else best
 
     def nearest(self, most: int, held: Fit | None = None) -> Fit:
         """Return the fit that comes nearest with up to `most` effects, beside those `held`, needed or not.
@@ -259,7 +247,7 @@ class Search:
         for place in reversed(range(len(best.terms))):
             beside = beside.without(place) if best.terms[place].effect.affine else beside
         noise = 3 * len(self.problem.groups) * self.problem.count
-        if not out and beside.terms and best.sse > _UNEXPLAINED * noise:
+        if not out and beside.terms and best.sse > usual.search.unexplained * noise:
             means = tuple(n.mean for n in self.problem.nuisances)
             fits = facing(self.problem, self.terms, replace(beside, nuisance_thetas=means), null.sse)
             out = [fit for fit in fits if fit.sse < best.sse]
@@ -285,7 +273,7 @@ class Search:
                 likeliest = min(fits, key=lambda f: f.sse)
                 self.criteria.temper = max(1.0, self.criteria.contradiction(smallest, likeliest))
             better = self._largest_needed(smallest, [best, *fits], most)
-            same = better.ids == best.ids and better.sse > best.sse - _AS_GOOD
+            same = better.ids == best.ids and better.sse > best.sse - usual.search.as_good
             best = min(better, best, key=lambda f: f.sse) if same else better
             if same:
                 break
@@ -295,7 +283,9 @@ class Search:
         """Linearise the catalogue beside a fit, once for fits of the same set that are as good."""
         key = (base.ids, len(held))
         known = self._candidates.get(key)
-        if known is None or abs(known.base.sse - base.sse) > max(_AS_GOOD, _AS_GOOD_SHARE * base.sse):
+        if known is None or abs(known.base.sse - base.sse) > max(
+            usual.search.as_good, usual.search.as_good_share * base.sse
+        ):
             known = Candidates(self.problem, self.terms, base, self.criteria.blocks(), held)
             self._candidates[key] = known
         return known
@@ -310,7 +300,7 @@ class Search:
         needed, (before, *expected) = 0, candidates.expected([(), *(ranked[0] for ranked in sets.values())])
         for (size, ranked), after in zip(sets.items(), expected, strict=True):
             least = self.criteria.cost(min(candidate.dimension for candidate in ranked[0]), 1)
-            if before - after > _HOPEFUL * self.criteria.temper * least:
+            if before - after > usual.search.hopeful * self.criteria.temper * least:
                 needed, before = size, after
         chosen: list[tuple[Candidate, ...]] = list(sets.get(needed, ()))
         for size in sets:
@@ -367,7 +357,7 @@ class Search:
                 continue
             rest = best.without(i)
             for start in term.effect.starts(misfit_of(problem, problem.signals(rest))):
-                if (np.abs(start - best.thetas[i]) <= _SAME * term.effect.scale).all():
+                if (np.abs(start - best.thetas[i]) <= usual.search.same * term.effect.scale).all():
                     continue
                 trial = problem.fit(rest.beside(term, start), FEW_STEPS)
                 if cost(trial) < cost(best) - 1e-6:

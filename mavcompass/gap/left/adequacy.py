@@ -28,8 +28,6 @@ from mavcompass.simulation.effects.effect import Effect, Group, Signals
 
 # Columns have unit length: what is left of a direction below this share is the model's own.
 _RANK = 1e-4
-# Six degrees of tilt, three degrees a second: sensors that leave more unexplained tell nothing.
-_USELESS: dict[Group, float] = {"acc": 1.0, "gyro": 0.05}
 _SENSOR_WORDS: dict[Group, str] = {"acc": "accelerometer", "gyro": "gyro"}
 
 
@@ -306,7 +304,7 @@ def _doubtful(witness: Replay, effects: Sequence[Effect]) -> dict[Group, SensorN
 
 
 def _useless(doubtful: Mapping[Group, SensorNoise]) -> set[Group]:
-    return {g for g, noise in doubtful.items() if float(noise.rms.mean()) > _USELESS[g]}
+    return {g for g, noise in doubtful.items() if float(noise.rms.mean()) > usual.baseline.useless[g]}
 
 
 def _with_doubt(replayed: Replay, doubtful: Mapping[Group, SensorNoise], useless: set[Group]) -> Replay:

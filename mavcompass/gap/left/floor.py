@@ -31,8 +31,6 @@ from mavcompass.gap.tables import Kind, usual
 from mavcompass.simulation.effects.effect import Group
 from mavcompass.simulation.physics.signals import Reading
 
-_LEAST = {"mag": 1e-3, "acc": 1e-5, "gyro": 1e-6}
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Floor:
@@ -91,9 +89,9 @@ def _noise(replay: Replay, made: Reading, of: Callable[[Group, FloatArray], Sens
 def _least_sigma(replay: Replay, group: str) -> float:
     """Return the least noise that is believed: of a vehicle's own attitude no model is exact to less."""
     if group != "mag":
-        return _LEAST[group]
+        return usual.compass.least[group]
     own = 0.0 if replay.reference.kind == "columns" else usual.compass.least_in_flight_mgauss
-    return max(_LEAST[group], replay.resolution_mgauss, own)
+    return max(usual.compass.least[group], replay.resolution_mgauss, own)
 
 
 def widened(floor: Floor, problem: Problem, fit: Fit) -> Floor:

@@ -18,9 +18,6 @@ from mavcompass.gap.tables import usual
 from mavcompass.gap.traces.rapid import quiet_doubt, quiet_scatter
 from mavcompass.simulation.effects import detected_by, get
 
-# The scatter's own distribution is only known from the recording: be slower to name it.
-_SCATTER_TRIALS = 50
-
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
@@ -105,7 +102,7 @@ def find_scatter(
             size = math.sqrt(excess_mgauss2)
             doubt = 0.5 * quiet_doubt(problem.replay.readings) * size
             candidates.append(Scatter(more, size, float(error.size), doubt))
-    candidates = [c for c in candidates if c.gain > least_gain(1, _SCATTER_TRIALS)]
+    candidates = [c for c in candidates if c.gain > least_gain(1, usual.scatter.trials)]
     return max(candidates, key=lambda c: c.gain) if candidates else None
 
 

@@ -29,9 +29,6 @@ from mavcompass.simulation.effects import get
 from mavcompass.simulation.physics.signals import Stimulus
 from mavcompass.track import Track
 
-# A turn of 90 degrees, and the two halves of the positions beside it.
-STEP_S = 5.0
-
 
 @dataclass(frozen=True, slots=True)
 class Stored:
@@ -225,7 +222,7 @@ def kind_of(track: Track, diagnosis: Diagnosis | Stored, reference: Choice = "au
         stances=stances,
         still=rows_of(stimulus, nearest),
         used=rows_of(stimulus, np.flatnonzero(replayed.valid)),
-        step_sigma_rad=record.walk_rad * math.sqrt(STEP_S),
+        step_sigma_rad=record.walk_rad * math.sqrt(usual.rehearsal.step_s),
         gyro_bias_sigma_radps=record.bias_sigma_radps,
         gyro_scale_sigma=GYRO_SCALE_SIGMA,
         vehicle=track.vehicle,

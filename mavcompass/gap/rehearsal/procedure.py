@@ -23,20 +23,15 @@ from mavcompass.calibration.positions import FourPositionsResult, solve_four_pos
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate, wrap_pi
 from mavcompass.gap.rehearsal.draws import Individual
-from mavcompass.gap.rehearsal.kind import STEP_S, Kind, rows_of
+from mavcompass.gap.rehearsal.kind import Kind, rows_of
+from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.effect import Signals
 from mavcompass.simulation.physics.signals import Stimulus, ideal
 
 NOISE, QUANTISATION, TILT, GYRO, FIELD = "noise", "quantisation", "tilt", "gyro", "field"
-_ENOUGH_RAD, _MOST_POSITIONS = math.radians(0.3), 8
 _HZ, _DWELL_ROWS = 10.0, 13
-_STEP_ROWS = round(STEP_S * _HZ)
-_AFTERWARDS_S = 60.0
-TILT_RAD = math.radians(15.0)
+_STEP_ROWS = round(usual.rehearsal.step_s * _HZ)
 _HEADINGS, _LEANINGS = 12, 8
-# Each attitude is held until every lag has settled.
-_HELD_S, _READINGS = 10.0, 2
-_MUCH_LATER_S = 600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +67,10 @@ def calibrate(
     fit = solve_four_positions(data, in_force, kind.earth)
     if _is_sure(fit) or protocol.leaning_rad:
         return fit
-    most = observed(kind, individual, replace(protocol, positions=_MOST_POSITIONS), in_force, without)
-    for count in range(protocol.positions + 1, _MOST_POSITIONS + 1):
+    most = observed(
+        kind, individual, replace(protocol, positions=usual.rehearsal.most_positions), in_force, without
+    )
+    for count in range(protocol.positions + 1, usual.rehearsal.most_positions + 1):
         data = replace(most, dwells=most.dwells[:count], steps=most.steps[: count - 1])
         fit = solve_four_positions(data, in_force, kind.earth)
         if _is_sure(fit):
@@ -83,7 +80,7 @@ def calibrate(
 
 def _is_sure(fit: FourPositionsResult) -> bool:
     """Tell whether the live procedure would ask for no further position."""
-    return fit.heading_sigma_rad**2 - fit.budget_rad[ACCELEROMETER] ** 2 <= _ENOUGH_RAD**2
+    return fit.heading_sigma_rad**2 - fit.budget_rad[ACCELEROMETER] ** 2 <= usual.rehearsal.enough_rad**2
 
 
 def corrected_in_force(kind: Kind, protocol: Protocol) -> FieldCorrection:
@@ -129,7 +126,9 @@ def observed(
     for k, turn in enumerate(np.diff(middles).tolist()):
         sigma = math.hypot(kind.step_sigma_rad, dwells[k].turned_sigma_rad, dwells[k + 1].turned_sigma_rad)
         error = sigma * float(individual.step[k]) * (GYRO not in without)
-        steps.append(Step(scale * turn + bias * STEP_S + error, sigma, STEP_S))
+        steps.append(
+            Step(scale * turn + bias * usual.rehearsal.step_s + error, sigma, usual.rehearsal.step_s)
+        )
     return FourPositionData(
         tuple(dwells), tuple(steps), kind.gyro_scale_sigma, kind.gyro_bias_sigma_radps, TILT_BIAS_SIGMA_RAD
     )
@@ -195,7 +194,7 @@ def _motion(
     where = np.where(since < _DWELL_ROWS, position, after)
     at = individual.stance[:count][where]
     load = 0.0 if protocol.motors_off else 1.0
-    start_s = float(kind.used.time_s[-1]) + _AFTERWARDS_S
+    start_s = float(kind.used.time_s[-1]) + usual.rehearsal.afterwards_s
     return Stimulus.posed(
         start_s + np.arange(n) / _HZ,
         rotation,
@@ -216,7 +215,9 @@ def _field(kind: Kind, individual: Individual, without: Collection[str]) -> Floa
 def _attitudes() -> tuple[FloatArray, FloatArray]:
     """Return yaw (N,) and roll and pitch (N, 2): the circle level first, then leaning in eight directions."""
     lean = np.arange(_LEANINGS) * (2.0 * math.pi / _LEANINGS)
-    tilts = np.vstack([np.zeros((1, 2)), TILT_RAD * np.stack([np.cos(lean), np.sin(lean)], axis=1)])
+    tilts = np.vstack(
+        [np.zeros((1, 2)), usual.rehearsal.leaning_rad * np.stack([np.cos(lean), np.sin(lean)], axis=1)]
+    )
     yaw = np.tile(np.arange(_HEADINGS) * (2.0 * math.pi / _HEADINGS), len(tilts))
     return yaw, np.repeat(tilts, _HEADINGS, axis=0)
 
@@ -234,21 +235,23 @@ def heading_errors_deg(
     The reading is free of noise, tilt and declination are known exactly; load, temperature and place are
     those of a moment of the recording.
     """
-    n = _YAW.size * _READINGS
+    n = _YAW.size * usual.rehearsal.readings
     field = _field(kind, individual, without)
     moment = rows_of(kind.used, np.full(n, individual.used))
     stimulus = replace(
         Stimulus.posed(
-            kind.used.time_s[-1] + _MUCH_LATER_S + _HELD_S * np.arange(n),
-            np.repeat(_ROTATION, _READINGS, axis=0),
+            kind.used.time_s[-1] + usual.rehearsal.much_later_s + usual.rehearsal.held_s * np.arange(n),
+            np.repeat(_ROTATION, usual.rehearsal.readings, axis=0),
             field,
         ),
         position_ned_m=moment.position_ned_m,
         **{load: getattr(moment, load) for load in ("current_a", "throttle", "temperature_degc", "motors")},
     )
     chain = individual.chain(without, loads(stimulus, kind.iron.correction))
-    raw = chain.run(Signals(stimulus, ideal(stimulus)), None).reading.mag_mgauss[_READINGS - 1 :: _READINGS]
-    load = loads(stimulus, correction)[_READINGS - 1 :: _READINGS]
+    raw = chain.run(Signals(stimulus, ideal(stimulus)), None).reading.mag_mgauss[
+        usual.rehearsal.readings - 1 :: usual.rehearsal.readings
+    ]
+    load = loads(stimulus, correction)[usual.rehearsal.readings - 1 :: usual.rehearsal.readings]
     level = rotate(_LEVELLING, correction.apply(raw, None if correction.motor_source == "none" else load))
     declination = math.atan2(field[1], field[0])
     error = wrap_pi(np.arctan2(-level[:, 1], level[:, 0]) + declination - _YAW)

@@ -26,23 +26,19 @@ from mavcompass.gap.rehearsal.procedure import (
     NOISE,
     QUANTISATION,
     TILT,
-    TILT_RAD,
     USUAL,
     Protocol,
     calibrate,
     heading_errors_deg,
 )
 from mavcompass.gap.result import MOTOR, Diagnosis, plain
+from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects import get
 from mavcompass.simulation.effects.effect import PLACED
 from mavcompass.track import Track
 
 SOURCES = (NOISE, QUANTISATION, TILT, GYRO, FIELD, MOTORS)
-# So many vehicles tell a difference, since they meet the same chances.
-_COMPARED_SHARE, _FEWEST_COMPARED = 0.06, 40
-_AWAY_M = 10.0
 _LOADS = frozenset({"current", "motors", "throttle|current|motors"})
-_FEW_STANCES = 5
 SCHEMA = "mavcompass.gap-rehearsal/1"
 _AS_THEY_ARE = (
     "draws", "compared", "refused", "positions", "claimed_deg", "stances", "seed", "notes", "seconds",
@@ -252,7 +248,9 @@ def rehearse(
     started = time.perf_counter()
     with single_thread():
         kind = kind_of(track, diagnosis, reference)
-        compared = min(draws, max(round(_COMPARED_SHARE * draws), _FEWEST_COMPARED))
+        compared = min(
+            draws, max(round(usual.rehearsal.compared_share * draws), usual.rehearsal.fewest_compared)
+        )
         names = [*SOURCES, *kind.effects]
         protocols = list(_protocols(kind))
         done, of = count(1), draws + compared * (len(names) + len(protocols))
@@ -295,7 +293,7 @@ def _protocols(kind: Kind) -> Iterator[tuple[str, Protocol]]:
     """List what a person could do instead, with its words."""
     yield "two more stops (--positions 6)", Protocol(positions=6)
     yield "four more stops (--positions 8)", Protocol(positions=8)
-    leaning = ((TILT_RAD, 0.0), (0.0, TILT_RAD))
+    leaning = ((usual.rehearsal.leaning_rad, 0.0), (0.0, usual.rehearsal.leaning_rad))
     yield (
         "two more stops leaning by 15 deg, right and nose up (by hand: --motion hand)",
         Protocol(leaning_rad=leaning),
@@ -311,8 +309,14 @@ def _protocols(kind: Kind) -> Iterator[tuple[str, Protocol]]:
         )
     if needs & PLACED:
         if kind.vehicle == "copter":
-            yield f"calibrated while hovering {_AWAY_M:.0f} m higher", Protocol(away_m=(0.0, 0.0, -_AWAY_M))
-        yield f"calibrated {_AWAY_M:.0f} m away", Protocol(away_m=(_AWAY_M, 0.0, 0.0))
+            yield (
+                f"calibrated while hovering {usual.rehearsal.away_m:.0f} m higher",
+                Protocol(away_m=(0.0, 0.0, -usual.rehearsal.away_m)),
+            )
+        yield (
+            f"calibrated {usual.rehearsal.away_m:.0f} m away",
+            Protocol(away_m=(usual.rehearsal.away_m, 0.0, 0.0)),
+        )
 
 
 def _motor_mean(kind: Kind) -> np.ndarray:
@@ -327,7 +331,7 @@ def _notes(kind: Kind, diagnosis: Diagnosis | Stored) -> Iterator[str]:
         yield "Something is left that the diagnosis does not explain; it is not in this."
     if diagnosis.verdict == "not_testable":
         yield "The vehicle neither turns nor tilts in this recording: what is wrong with it is not in this."
-    if len(kind.stances) < _FEW_STANCES:
+    if len(kind.stances) < usual.rehearsal.few_stances:
         yield f"The recording shows only {len(kind.stances)} calm stretches: how it stands is hardly known."
     if kind.earth is None:
         yield "The place is unknown: nothing is taken from the world's magnetic model."

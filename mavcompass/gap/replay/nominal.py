@@ -49,7 +49,6 @@ from mavcompass.simulation.physics.signals import Reading, RecordedStimulus, Sti
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
-_UNKNOWN_MOTION_MPS2 = 0.3
 # Motors that turn both ways stand still at half of their output.
 _NEUTRAL_IN_THE_MIDDLE = frozenset({"rover", "ackermann-rover", "boat", "sub"})
 _NO_TURN = (
@@ -204,7 +203,7 @@ def replay(
             off = np.median(
                 np.abs(values - (nominal.acc_mps2 if name == "acc" else nominal.gyro_radps))[valid]
             )
-            if name == "acc" and off > _UNKNOWN_MOTION_MPS2:
+            if name == "acc" and off > usual.present.unfelt_mps2:
                 motion_note = ("The accelerometer feels motion that the recording does not tell: left out.",)
                 continue
             groups = (*groups, name)

@@ -25,7 +25,6 @@ from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S, late_field
 from mavcompass.simulation.effects.effect import Effect, Memory, Parameter, Rng, Signals, Stage
 
-_TURNS = 6
 REFERENCE_YAW, TELEMETRY_AGE = "reference yaw", "telemetry age"
 IRON_MATRIX, IRON_OFFSET = "iron matrix in force", "iron offset in force"
 _ENTRIES = tuple(f"{row}{column}" for row in "xyz" for column in "xyz")
@@ -140,7 +139,7 @@ def yaw_starts(nuisances: Sequence[Nuisance]) -> list[tuple[FloatArray, ...]]:
     for place, nuisance in enumerate(nuisances):
         if nuisance.effect.id == REFERENCE_YAW and nuisance.precision[0, 0] < 1.0 / usual.yaw.unknown_rad**2:
             starts = []
-            for turn in np.arange(_TURNS) * 2.0 * np.pi / _TURNS:
+            for turn in np.arange(usual.yaw.starts) * 2.0 * np.pi / usual.yaw.starts:
                 mean = nuisance.mean.copy()
                 mean[0] = (mean[0] + turn + np.pi) % (2.0 * np.pi) - np.pi
                 starts.append((*means[:place], mean, *means[place + 1 :]))

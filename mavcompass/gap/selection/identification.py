@@ -47,11 +47,6 @@ from mavcompass.gap.traces.traces import Traces
 from mavcompass.simulation.effects.effect import LIMIT, Effect
 from mavcompass.simulation.physics.signals import Reading
 
-# So many of the cheapest sets are fitted to the end, but none that costs so much more than the cheapest.
-_REFITTED, _HOPELESS = 8, 100.0
-# Predictions that differ by less than three sigmas, or by this share of what is explained, are the same.
-_SAME, _SAME_SHARE = 9.0, 0.005
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Explanation:
@@ -107,7 +102,10 @@ class Posterior:
     def restates(self, other: Explanation) -> bool:
         """Tell whether a set is observationally equivalent to the best one, with more parameters."""
         best, none = self.best, self.nothing
-        most = max(_SAME * self.overdispersion, _SAME_SHARE * (none.fit.sse - best.fit.sse))
+        most = max(
+            usual.equivalent.squares * self.overdispersion,
+            usual.equivalent.share * (none.fit.sse - best.fit.sse),
+        )
         return other.apart < most and other.fit.dimension > best.fit.dimension
 
     def weights(self, likely: float) -> tuple[tuple[frozenset[str], float], ...]:
@@ -130,14 +128,14 @@ def posterior_of(search: Search) -> Posterior:
         return search.criteria.score(fit, spread)
 
     ranked = sorted(explored.values(), key=cost)
-    for fit in ranked[:_REFITTED]:
-        if fit.terms and cost(fit) < cost(ranked[0]) + _HOPELESS:
+    for fit in ranked[: usual.search.refitted]:
+        if fit.terms and cost(fit) < cost(ranked[0]) + usual.search.hopeless:
             explored[fit.ids] = problem.refit(fit)
     ranked = sorted(explored.values(), key=cost)
     here = problem.predict(ranked[0])
     explanations = []
     for place, fit in enumerate(ranked):
-        near = place < _REFITTED or not fit.terms
+        near = place < usual.search.refitted or not fit.terms
         apart = float(np.sum(problem.shift(problem.predict(fit), here) ** 2)) if near else math.inf
         explanations.append(Explanation(fit, cost(fit), apart, problem.strain(fit)))
     return Posterior(tuple(explanations), spread)
@@ -161,10 +159,7 @@ class Identified:
     posterior: Posterior
 
 
-_LEAST_MGAUSS = 0.3
 _SEED = 20260102
-_PASSES = 2
-_CLOSINGS_IN = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,7 +213,7 @@ def _unrounded(problem: Problem, fit: Fit, floor: Floor, step_mgauss: float) -> 
     sigma = floor.noise["mag"].rms
     if not floor.measured:
         # The scatter that was read off the rounded numbers holds that of the rounding.
-        sigma = np.sqrt(np.maximum(sigma**2 - step_mgauss**2 / 12.0, _LEAST_MGAUSS**2))
+        sigma = np.sqrt(np.maximum(sigma**2 - step_mgauss**2 / 12.0, usual.steps.least_mgauss**2))
     drawn = _before_rounding(measured.mag_mgauss, problem.predict(fit).mag_mgauss, sigma, step_mgauss)
     fine = replace(replay, measured=Reading(drawn, measured.acc_mps2, measured.gyro_radps))
     fresh = Problem(fine, problem.noise, problem.rows, problem.prior)
@@ -250,7 +245,7 @@ def identify(
     If nothing that changes is found then, they were the whole disturbance, and must stay; and they stay where
     the rest is explained no better without them.
     """
-    result, own = _searched(replay, floor, split, effects, 1 if noise_known else _PASSES)
+    result, own = _searched(replay, floor, split, effects, 1 if noise_known else usual.search.passes)
     none: Mask = np.zeros(replay.time_s.size, dtype=np.bool_)
     changing, switching, known = none, none, none
     for _ in range(usual.change.most):
@@ -320,7 +315,7 @@ def _searched(
 def _moments_in_training(candidate: Identified) -> Identified:
     """Where something changes inside a held-out block, close in on it with narrow training windows."""
     replay = candidate.problem.replay
-    for _ in range(_CLOSINGS_IN):
+    for _ in range(usual.change.closings):
         probes = [probe(candidate.split, replay.time_s, m) for m in moments(candidate.fit)]
         loose = [p for p in probes if p is not None]
         if not loose:
