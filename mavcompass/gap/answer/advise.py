@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,23 +20,16 @@ from mavcompass.simulation.physics.signals import Stimulus, ideal
 _RATE_HZ = 10.0
 
 
-@dataclass(frozen=True, slots=True)
-class Protocol:
-    """Describe a recording that somebody could make: its name and length."""
-
-    name: str
-    minutes: float
-
-
-PROTOCOLS = (
-    Protocol("four turns of 90 degrees with 5 s dwells, level", 0.6),
-    Protocol("slow tumble through all attitudes", 1.0),
-    Protocol("figures of eight with bank", 1.0),
-    Protocol("spins at 20 and 120 degrees per second, both ways", 0.7),
-    Protocol("throttle pulses at a fixed heading", 0.7),
-    Protocol("warm up and cool down while tumbling", 4.0),
-    Protocol("pass the place again on three headings", 1.5),
-)
+# Recordings that somebody could make, and for how many minutes.
+PROTOCOLS = {
+    "four turns of 90 degrees with 5 s dwells, level": 0.6,
+    "slow tumble through all attitudes": 1.0,
+    "figures of eight with bank": 1.0,
+    "spins at 20 and 120 degrees per second, both ways": 0.7,
+    "throttle pulses at a fixed heading": 0.7,
+    "warm up and cool down while tumbling": 4.0,
+    "pass the place again on three headings": 1.5,
+}
 
 
 def next_flights(
@@ -51,15 +44,13 @@ def next_flights(
         return ()
     names = tuple(sorted(set().union(*(ids for ids, _ in rivals))))
     found = []
-    for protocol in PROTOCOLS:
-        signals = _signals(protocol, field_ned_mgauss)
-        first = rivals[0][1]
-        made = _settings(first)
-        truth = Distortion(made).run(signals, None).reading.mag_mgauss
+    for name, minutes in PROTOCOLS.items():
+        signals = _signals(name, minutes, field_ned_mgauss)
+        truth = Distortion(_settings(rivals[0][1])).run(signals, None).reading.mag_mgauss
         distances = [_distance(signals, truth, fit, noise) for _, fit in rivals[1:4]]
         least = min(distances)
         if math.isfinite(least) and least > 0.5:
-            found.append((least / math.sqrt(protocol.minutes), Flight(protocol.name, names, least)))
+            found.append((least / math.sqrt(minutes), Flight(name, names, least)))
     found.sort(key=lambda item: -item[0])
     return tuple(flight for _, flight in found[:4])
 
@@ -93,14 +84,13 @@ def _distance(signals: Signals, truth: FloatArray, rival: Fit, noise: Noise) -> 
     return float(np.sqrt(difference @ difference)) * rate
 
 
-def _signals(protocol: Protocol, field: FloatArray) -> Signals:
-    n = round(60.0 * protocol.minutes * _RATE_HZ)
+def _signals(name: str, minutes: float, field: FloatArray) -> Signals:
+    n = round(60.0 * minutes * _RATE_HZ)
     t = np.arange(n) / _RATE_HZ
     u = t / t[-1]
     roll, pitch, yaw = np.zeros(n), np.zeros(n), np.zeros(n)
     throttle, temperature = np.full(n, 0.3), np.full(n, 25.0)
     position = np.zeros((n, 3))
-    name = protocol.name
     if name.startswith("four"):
         phase = 4.0 * u
         part = np.clip((phase % 1.0) * 9.0 - 5.0, 0.0, 4.0) / 4.0

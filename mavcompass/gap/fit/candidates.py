@@ -226,16 +226,6 @@ class Criteria:
         """Return the price of so many parameters and effects."""
         return tables().penalty[self.kind].of(dimension, effects, self._problem.count)
 
-    def grows(self, smaller: Fit, larger: Fit) -> bool:
-        """Tell whether the larger set is needed."""
-        effects = len(larger.terms) - len(smaller.terms)
-        least = self.cost(max(larger.dimension - smaller.dimension, 1), effects)
-        gain = smaller.sse - larger.sse
-        if gain <= least or self.exact:
-            return gain > least
-        eased = self._problem.strain(smaller) - self._problem.strain(larger)
-        return (gain - eased) / self.contradiction(smaller, larger) + eased > least
-
     def contradiction(self, smaller: Fit, larger: Fit) -> float:
         """Return by how much blocks contradict each other about what a larger set has more, 1 where they do
         not."""

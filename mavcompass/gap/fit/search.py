@@ -138,11 +138,7 @@ class Search:
         self.problem = problem
         self.criteria = Criteria(problem, kind)
         signals = problem.replay.signals
-        self.terms = [
-            term
-            for effect in effects
-            if effect.kind in ("mean", "discrete") and (term := make_term(effect, signals)).dimension >= 0
-        ]
+        self.terms = [make_term(effect, signals) for effect in effects if effect.kind in ("mean", "discrete")]
         self.explored: dict[frozenset[str], Fit] = {}
         # By the set that they stand beside, and how much of it is held.
         self._candidates: dict[tuple[frozenset[str], int], Candidates] = {}
@@ -164,7 +160,7 @@ class Search:
         """Return the best of sets of up to `most` effects, from the best of sets that are `likely` on."""
         null = self.explored.setdefault(frozenset(), self.problem.null())
         self._remember(likely)
-        best = self._largest_needed(null, likely, most)
+        best = self._cheapest(null, most)
         means = tuple(n.mean for n in self.problem.nuisances)
         turns = facing(self.problem, self.terms, Fit(nuisance_thetas=means), null.sse)
         noise = 3 * len(self.problem.groups) * self.problem.count
@@ -241,7 +237,8 @@ class Search:
         out = [
             f
             for f in turns
-            if null.sse - f.sse > 0.5 * (null.sse - best.sse) and self.criteria.grows(null, f)
+            if null.sse - f.sse > 0.5 * (null.sse - best.sse)
+            and self.criteria.score(f) < self.criteria.score(null)
         ]
         beside = best
         for place in reversed(range(len(best.terms))):
@@ -272,7 +269,7 @@ class Search:
             if not self.criteria.exact and fits:
                 likeliest = min(fits, key=lambda f: f.sse)
                 self.criteria.temper = max(1.0, self.criteria.contradiction(smallest, likeliest))
-            better = self._largest_needed(smallest, [best, *fits], most)
+            better = min(self._cheapest(smallest, most), best, key=self.criteria.score)
             same = better.ids == best.ids and better.sse > best.sse - usual.search.as_good
             best = min(better, best, key=lambda f: f.sse) if same else better
             if same:
@@ -322,21 +319,10 @@ class Search:
         self._fits[key] = fit if known is None or fit.sse < known.sse else known
         return self._fits[key]
 
-    def _largest_needed(self, smallest: Fit, fits: Sequence[Fit], most: int) -> Fit:
-        """Return the best set of the largest size, `most` at most, whose growth is needed, size after size or
-        two at a time."""
-        by_size: dict[int, Fit] = {}
-        for fit in [smallest, *fits, *self.explored.values()]:
-            if not smallest.ids <= fit.ids or len(fit.terms) > most:
-                continue
-            size = len(fit.terms)
-            if size not in by_size or self.criteria.score(fit) < self.criteria.score(by_size[size]):
-                by_size[size] = fit
-        best = smallest
-        for size in sorted(by_size):
-            if size > len(best.terms) and self.criteria.grows(best, by_size[size]):
-                best = by_size[size]
-        return best
+    def _cheapest(self, smallest: Fit, most: int) -> Fit:
+        """Return the cheapest explored set of `most` effects at most that holds all of another one."""
+        held = (fit for fit in self.explored.values() if smallest.ids <= fit.ids and len(fit.terms) <= most)
+        return min([smallest, *held], key=self.criteria.score)
 
     def _remember(self, fits: Iterable[Fit]) -> None:
         for fit in fits:

@@ -15,12 +15,11 @@ from mavcompass.simulation.effects import registry
 LAG, LOW_PASS, HARD_IRON = (registry.get(name) for name in ("transport_lag", "low_pass", "hard_iron"))
 
 
-def criteria(contradiction: float, monkeypatch: pytest.MonkeyPatch) -> Criteria:
+def criteria(spread: float) -> Criteria:
     """Return criteria of fits whose one number is what they strain; blocks contradict each other."""
     problem: Any = SimpleNamespace(count=500, strain=lambda fit: float(fit.nuisance_thetas[0][0]))
     found = Criteria(problem, "baseline")
-    found.temper = contradiction
-    monkeypatch.setattr(found, "contradiction", lambda smaller, larger: contradiction)
+    found.temper = spread
     return found
 
 
@@ -33,27 +32,24 @@ def fit(left: float, strain: float, *effects: Any) -> Fit:
 
 
 @pytest.mark.parametrize("contradiction", [1.0, 5.0, 84.0])
-def test_what_is_known_keeps_its_weight_however_blocks_contradict_each_other(
-    contradiction: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_known_keeps_its_weight_however_blocks_contradict_each_other(contradiction: float) -> None:
     """Real errors last for seconds: they weaken what readings say, not what was measured of the vehicle."""
-    one = criteria(contradiction, monkeypatch)
+    one = criteria(contradiction)
     bent, straight = fit(7444.0, 1188.0), fit(7418.0, 32.0, LAG)
-    assert one.grows(bent, straight)
     assert one.score(bent) - one.score(straight) > 1000.0
     assert one.score(bent) == pytest.approx(7444.0 / contradiction + 1188.0)
 
 
-def test_what_readings_gain_is_held_against_how_blocks_contradict_each_other(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    nothing, lag = fit(1000.0, 3.0), fit(900.0, 3.0, LAG)
-    assert criteria(1.0, monkeypatch).grows(nothing, lag)
-    assert not criteria(20.0, monkeypatch).grows(nothing, lag)
-    assert not criteria(1.0, monkeypatch).grows(nothing, fit(995.0, 3.0, LAG))
+def test_what_readings_gain_is_held_against_how_blocks_contradict_each_other() -> None:
+    def cheaper(spread: float, left: float) -> bool:
+        one = criteria(spread)
+        return one.score(fit(left, 3.0, LAG)) < one.score(fit(1000.0, 3.0))
+
+    assert cheaper(1.0, 900.0) and not cheaper(20.0, 900.0) and not cheaper(1.0, 995.0)
 
 
-def test_what_bends_the_known_to_fit_readings_closer_is_not_needed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_bends_the_known_to_fit_readings_closer_is_not_needed() -> None:
     nothing, bent = fit(1000.0, 3.0), fit(800.0, 60.0, LAG)
-    assert criteria(1.0, monkeypatch).grows(nothing, bent)
-    assert not criteria(4.0, monkeypatch).grows(nothing, bent)
+    for spread, cheaper in ((1.0, True), (4.0, False)):
+        one = criteria(spread)
+        assert (one.score(bent) < one.score(nothing)) is cheaper

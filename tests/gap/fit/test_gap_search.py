@@ -75,9 +75,9 @@ def test_a_search_of_few_effects_names_no_more_whatever_was_explored() -> None:
     one = Search(problem, ())
     nothing, lag, both = fit(1000.0), fit(700.0, "transport_lag"), fit(300.0, "transport_lag", "low_pass")
     one.explored = {f.ids: f for f in (lag, both)}
-    assert one._largest_needed(nothing, [], 2) is both
-    assert one._largest_needed(nothing, [], 1) is lag
-    assert one._largest_needed(nothing, [], 0) is nothing
+    assert one._cheapest(nothing, 2) is both
+    assert one._cheapest(nothing, 1) is lag
+    assert one._cheapest(nothing, 0) is nothing
 
 
 @pytest.mark.parametrize("beside", ["", "transport_lag:lag_s=0.1"])
