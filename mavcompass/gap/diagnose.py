@@ -16,9 +16,8 @@ from mavcompass.gap.attitude.sensors import sensor_faults
 from mavcompass.gap.left.adequacy import doubting, judge
 from mavcompass.gap.left.floor import Floor, foreseen, from_recording
 from mavcompass.gap.left.taught import from_baseline
-from mavcompass.gap.replay.nominal import Replay, replay
+from mavcompass.gap.replay.nominal import Replay, half_testable, replay, untestable_effects
 from mavcompass.gap.replay.rows import shared_period_s
-from mavcompass.gap.replay.testable import half_testable, untestable_effects
 from mavcompass.gap.result import Diagnosis
 from mavcompass.gap.selection.identification import Identified, Remainder, identify, what_is_left, with_white
 from mavcompass.gap.selection.split import split_blocks

@@ -87,6 +87,11 @@ class Fit:
             self.nuisance_thetas,
         )
 
+    def changed(self, place: int, term: Term, theta: FloatArray) -> Fit:
+        """Return the hypothesis with another term, and other values, for one effect, not fitted anew."""
+        terms = (*self.terms[:place], term, *self.terms[place + 1 :])
+        return Fit(terms, (*self.thetas[:place], theta, *self.thetas[place + 1 :]), self.nuisance_thetas)
+
     def beside(self, term: Term, theta: FloatArray) -> Fit:
         """Return the hypothesis with one more effect, not fitted anew."""
         return Fit((*self.terms, term), (*self.thetas, theta), self.nuisance_thetas)

@@ -84,14 +84,6 @@ def facing(problem: Problem, terms: Sequence[Term], beside: Fit, most_sse: float
     return out
 
 
-def _in_order(fit: Fit, like: Fit) -> Fit:
-    """Put the terms of a fit in the order of another fit of the same set."""
-    place = {t.effect.id: i for i, t in enumerate(fit.terms)}
-    order = [place[t.effect.id] for t in like.terms]
-    terms, thetas = tuple(fit.terms[i] for i in order), tuple(fit.thetas[i] for i in order)
-    return replace(fit, terms=terms, thetas=thetas)
-
-
 MOST_EFFECTS = 4
 _ROUNDS = 4
 
@@ -113,9 +105,7 @@ def pruned(problem: Problem, fit: Fit) -> Fit:
                 free[j] = False
                 theta = fit.thetas[i].copy()
                 theta[j] = 0.0
-                terms = (*fit.terms[:i], replace(term, free=free), *fit.terms[i + 1 :])
-                thetas = (*fit.thetas[:i], theta, *fit.thetas[i + 1 :])
-                trial = problem.fit(Fit(terms, thetas, fit.nuisance_thetas), FEW_STEPS)
+                trial = problem.fit(fit.changed(i, replace(term, free=free), theta), FEW_STEPS)
                 if trial.sse < fit.sse + usual.search.pruning:
                     options.append(trial)
         if not options:
@@ -341,11 +331,10 @@ class Search:
                 continue
             if moments and MOMENTS.isdisjoint(term.effect.names):
                 continue
-            rest = best.without(i)
-            for start in term.effect.starts(misfit_of(problem, problem.signals(rest))):
+            for start in term.effect.starts(misfit_of(problem, problem.signals(best.without(i)))):
                 if (np.abs(start - best.thetas[i]) <= usual.search.same * term.effect.scale).all():
                     continue
-                trial = problem.fit(rest.beside(term, start), FEW_STEPS)
+                trial = problem.fit(best.changed(i, term, start), FEW_STEPS)
                 if cost(trial) < cost(best) - 1e-6:
-                    best = _in_order(problem.refit(trial), best)
+                    best = problem.refit(trial)
         return best

@@ -20,9 +20,8 @@ from mavcompass.gap.fit.hypothesis import Fit, make_term
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.left.floor import first_noise, measured_noise
 from mavcompass.gap.replay.noise import SensorNoise, group_values
-from mavcompass.gap.replay.nominal import Replay
+from mavcompass.gap.replay.nominal import Replay, untestable_effects
 from mavcompass.gap.replay.nuisance import Prior, block_diagonal
-from mavcompass.gap.replay.testable import untestable_effects
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.effect import Effect, Group, Signals
 

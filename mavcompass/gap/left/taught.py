@@ -30,7 +30,7 @@ from mavcompass.gap.left.floor import (
     rms,
 )
 from mavcompass.gap.replay.noise import Noise, SensorNoise
-from mavcompass.gap.replay.nominal import Replay, level_mgauss
+from mavcompass.gap.replay.nominal import Replay, level_mgauss, untestable_effects
 from mavcompass.gap.replay.nuisance import (
     ANOTHER_IRON,
     IRON_MATRIX,
@@ -43,7 +43,6 @@ from mavcompass.gap.replay.nuisance import (
     Prior,
     Trust,
 )
-from mavcompass.gap.replay.testable import untestable_effects
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.effect import FREQUENCY, LIMIT, Effect
 

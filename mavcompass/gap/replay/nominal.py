@@ -7,14 +7,13 @@ to a reading (ten readings a second, averaged, repeated, late) belongs to the re
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.correction import IDENTITY
-from mavcompass.earth_field import middle_place
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, rotate, rotate_back, wrap_pi
 from mavcompass.gap.attitude.kinematics import averaged
@@ -36,14 +35,18 @@ from mavcompass.gap.replay.nuisance import (
 )
 from mavcompass.gap.replay.rows import compass_rows, middles, shared_period_s, swing, unbroken
 from mavcompass.gap.replay.whereabouts import (
+    column,
+    every_s,
     goes_about,
+    place_of,
     position_of,
     present_in,
+    scalar,
     world_field,
 )
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
-from mavcompass.simulation.effects.effect import Group, Signals
+from mavcompass.simulation.effects.effect import Effect, Group, Signals, Stage
 from mavcompass.simulation.effects.sampling import thinned
 from mavcompass.simulation.physics.signals import Reading, RecordedStimulus, Stimulus, Turning, ideal
 from mavcompass.track import MagSeries, Series, Track
@@ -182,8 +185,8 @@ def replay(
             swings = swings[picked] @ np.linalg.inv(iron.matrix).T
             corrected = averaged(corrected, rows.width)[picked] + swings
         usable = np.asarray(np.isfinite(raw).all(axis=1) & unbroken(rows.time_s, rows.width))
-    acc = _column(track.acc_mps2, time_s, rows.width)
-    gyro = _column(track.gyro_radps, time_s, rows.width)
+    acc = column(track.acc_mps2, time_s, rows.width)
+    gyro = column(track.gyro_radps, time_s, rows.width)
     measured = Reading(raw, acc, gyro)
     nominal = ideal(stimulus)
     independent = reference.kind == "columns"
@@ -228,23 +231,9 @@ def replay(
         readings=readings,
         averaged=rows.width,
         late_s=told_s,
-        place=_place(track),
-        loads_every_s=_every_s(track.current_a, track.throttle),
+        place=place_of(track),
+        loads_every_s=every_s(track.current_a, track.throttle),
     )
-
-
-def _every_s(*series: Series | None) -> float:
-    """Return the usual time between the rows of the slowest of some series; zero where none was recorded."""
-    return max(
-        (float(np.median(np.diff(s.time_s))) for s in series if s is not None and len(s) > 1), default=0.0
-    )
-
-
-def _place(track: Track) -> tuple[float, float, float] | None:
-    """Return latitude, longitude and altitude in the middle of a recording's places."""
-    if track.place is None or not np.isfinite(track.place.values).all(axis=1).any():
-        return None
-    return middle_place(track.place.values)
 
 
 def _compass(track: Track, instance: int) -> MagSeries:
@@ -255,21 +244,6 @@ def _compass(track: Track, instance: int) -> MagSeries:
             "Choose one of them with --compass.",
         )
     return track.compasses[instance]
-
-
-def _column(series: Series | None, time_s: FloatArray, width: int = 1) -> FloatArray:
-    if series is None or len(series) < 2:
-        return np.full((time_s.size, 3), np.nan)
-    if width > 1 and np.isfinite(series.values).all():
-        series = Series.of(series.time_s, averaged(series.values, width))
-    return np.ascontiguousarray(series.at(time_s))
-
-
-def _scalar(series: Series | None, time_s: FloatArray) -> FloatArray:
-    if series is None or not np.isfinite(series.values).any():
-        return np.full(time_s.size, np.nan)
-    finite = np.isfinite(series.values)
-    return np.interp(time_s, series.time_s[finite], series.values[finite])
 
 
 def level_mgauss(replay: Replay) -> float:
@@ -301,12 +275,12 @@ def _stimulus(
         field_ned_mgauss=np.tile(field, (n, 1)),
         rate_radps=reference.rate_radps,
         specific_force_mps2=reference.rotation[:, 2, :] * -STANDARD_GRAVITY_MPS2,
-        position_ned_m=_column(position, time_s),
-        velocity_ned_mps=_column(track.gps_velocity_mps, time_s),
+        position_ned_m=column(position, time_s),
+        velocity_ned_mps=column(track.gps_velocity_mps, time_s),
         # What a load adds is averaged as the readings are.
-        current_a=averaged(_scalar(track.current_a, taken_s)[:, None], width)[picked, 0],
-        throttle=averaged(_scalar(track.throttle, taken_s)[:, None], width)[picked, 0],
-        temperature_degc=_scalar(track.temperature_degc, time_s),
+        current_a=averaged(scalar(track.current_a, taken_s)[:, None], width)[picked, 0],
+        throttle=averaged(scalar(track.throttle, taken_s)[:, None], width)[picked, 0],
+        temperature_degc=scalar(track.temperature_degc, time_s),
         motors=motors,
         turning=turning,
     )
@@ -337,3 +311,76 @@ def _nuisances(
     if telemetry:
         found.append(Nuisance.of(AGE, np.array([usual.age.usual_s - late_s]), np.array([usual.age.sigma_s])))
     return tuple(found)
+
+
+_NO_SENSOR = (
+    "the sensors that would show it were not recorded, or feel motion that the recording does not tell"
+)
+_NEED_WORDS = {
+    "turning": "the vehicle does not turn far enough",
+    "tilt": "the vehicle stays level",
+    "current": "no varying battery current was recorded",
+    "throttle": "no varying throttle was recorded",
+    "motors": "no varying motor outputs were recorded",
+    "temperature": "no varying temperature was recorded",
+    "position": "no precise position was recorded, or the vehicle did not move",
+    "height": "no height was recorded, or the vehicle kept it",
+    "reference": "the attitude reference was made from the vehicle's own sensors",
+    "throttle|current|motors": "neither throttle nor current nor motor outputs were recorded",
+}
+
+
+def half_testable(replayed: Replay, effects: Iterable[Effect]) -> frozenset[str]:
+    """List the effects that only lack tilt: level turns show a part of them, never enough to be sure.
+
+    They compete in the search; a winner among them is called ambiguous.
+    """
+    if "tilt" in replayed.present:
+        return frozenset()
+    within = replayed.present | {"tilt"}
+    return frozenset(
+        e.id
+        for e in effects
+        if "tilt" in e.needs
+        and all(any(option in within for option in need.split("|")) for need in e.needs)
+        and all(g in replayed.groups for g in e.groups)
+    )
+
+
+def untestable_effects(
+    replayed: Replay, effects: Iterable[Effect], age_known: bool = False
+) -> dict[str, str]:
+    """Say for each effect that this recording cannot test why not.
+
+    `age_known` tells that a baseline has taught how late the autopilot's readings are by nature.
+    """
+    out: dict[str, str] = {}
+    for effect in effects:
+        for need in sorted(effect.needs):
+            if not any(option in replayed.present for option in need.split("|")):
+                out[effect.id] = _NEED_WORDS[need]
+        seen = all(g in replayed.groups for g in effect.groups) or any(
+            g in replayed.groups for g in effect.enough
+        )
+        if not seen and effect.id not in out:
+            away = "reference" not in replayed.present
+            out[effect.id] = _NEED_WORDS["reference"] if away else _NO_SENSOR
+        if len(effect.groups) == 1 and effect.groups[0] in replayed.doubtful:
+            # What is not known of the motion looks like any fault of the sensor that feels it.
+            out[effect.id] = _NO_SENSOR
+        # A baseline that was read in the same way teaches how late, and how smooth, readings are by nature.
+        repeats, jitter = effect.detector == "repeats", effect.detector == "jitter"
+        taught = (age_known and not jitter) or (replayed.trace.froze and repeats)
+        if replayed.telemetry and (effect.stage is Stage.TIMING or repeats) and not taught:
+            out[effect.id] = "the compass is read more slowly than it is logged, and repeated: late by nature"
+        if replayed.averaged > 1 and jitter:
+            out[effect.id] = (
+                f"{replayed.averaged} neighbours each were averaged, so long is the recording: cut a part out"
+            )
+        if not replayed.field_known and effect.stage is Stage.WORLD and not effect.needs:
+            out[effect.id] = "the recording does not say where it was made"
+        if replayed.reference.yaw_unknown and effect.about_vertical:
+            out[effect.id] = "the initial yaw is solved with the field: a constant turn is part of it"
+        if effect.detector == "drift":
+            out[effect.id] = "a wandering offset can imitate any slow cause, so it is reported as unknown"
+    return out

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from mavcompass.earth_field import decimal_year, earth_field, middle_place
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, rotate
+from mavcompass.gap.attitude.kinematics import averaged
 from mavcompass.gap.attitude.reference import Reference
 from mavcompass.gap.attitude.sensors import local_position
 from mavcompass.gap.tables import usual
@@ -131,3 +132,34 @@ def _measured_by_others(
         return None
     horizontal, down = np.mean(seen, axis=0)
     return np.array([model[0] * horizontal / level, model[1] * horizontal / level, down])
+
+
+def place_of(track: Track) -> tuple[float, float, float] | None:
+    """Return latitude, longitude and altitude in the middle of a recording's places."""
+    if track.place is None or not np.isfinite(track.place.values).all(axis=1).any():
+        return None
+    return middle_place(track.place.values)
+
+
+def every_s(*series: Series | None) -> float:
+    """Return the usual time between the rows of the slowest of some series; zero where none was recorded."""
+    return max(
+        (float(np.median(np.diff(s.time_s))) for s in series if s is not None and len(s) > 1), default=0.0
+    )
+
+
+def column(series: Series | None, time_s: FloatArray, width: int = 1) -> FloatArray:
+    """Return what was recorded of a vector at some times (N,), averaged as the readings are, (N, 3)."""
+    if series is None or len(series) < 2:
+        return np.full((time_s.size, 3), np.nan)
+    if width > 1 and np.isfinite(series.values).all():
+        series = Series.of(series.time_s, averaged(series.values, width))
+    return np.ascontiguousarray(series.at(time_s))
+
+
+def scalar(series: Series | None, time_s: FloatArray) -> FloatArray:
+    """Return what was recorded of a load at some times, (N,); not numbers where nothing was."""
+    if series is None or not np.isfinite(series.values).any():
+        return np.full(time_s.size, np.nan)
+    finite = np.isfinite(series.values)
+    return np.interp(time_s, series.time_s[finite], series.values[finite])

@@ -15,10 +15,9 @@ from mavcompass.gap.attitude.kinematics import averaged
 from mavcompass.gap.fit.hypothesis import Fit
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.left.taught import from_baseline
-from mavcompass.gap.replay.nominal import replay
+from mavcompass.gap.replay.nominal import half_testable, replay, untestable_effects
 from mavcompass.gap.replay.nuisance import REFERENCE_YAW, Prior
 from mavcompass.gap.replay.rows import compass_rows, shared_period_s
-from mavcompass.gap.replay.testable import half_testable, untestable_effects
 from mavcompass.gap.trial.cases import SHARES, Generator, Label, Tier
 from mavcompass.gap.trial.closed_form import UTC_S, Simulated, make, quaternion
 from mavcompass.gap.trial.vehicles import VehicleCase, make_case

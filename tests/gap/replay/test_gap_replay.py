@@ -13,7 +13,7 @@ from mavcompass.gap import diagnose_gap
 from mavcompass.gap.attitude.reference import body_rate
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.left.floor import foreseen, from_recording
-from mavcompass.gap.replay.nominal import Replay, replay
+from mavcompass.gap.replay.nominal import Replay, replay, untestable_effects
 from mavcompass.gap.replay.nuisance import (
     REFERENCE_YAW,
     WORLD_FIELD,
@@ -21,7 +21,6 @@ from mavcompass.gap.replay.nuisance import (
     reference_attitude_error,
 )
 from mavcompass.gap.replay.rows import compass_rows
-from mavcompass.gap.replay.testable import untestable_effects
 from mavcompass.gap.selection.split import split_blocks
 from mavcompass.gap.traces.traces import names_stale, names_step
 from mavcompass.gap.trial.cases import PLACE, Recipe, make_track
