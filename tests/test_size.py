@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 # At most so many lines now, and where they should get to. A number here falls with its room; who raises one
 # says why in the commit.
 LINES = {
-    "package gap": (14_050, 10_500),
+    "package gap": (13_880, 10_500),
     "package simulation": (7_850, 5_800),
     "package attitude calibration heading": (9_100, 5_400),
     "package vehicle messages enums.py": (7_690, 5_200),

@@ -20,7 +20,7 @@ from mavcompass.blas import single_thread
 from mavcompass.frames import FloatArray
 from mavcompass.gap.diagnose import Replayed, diagnose_gap
 from mavcompass.gap.export import follows_places, settings_of
-from mavcompass.gap.left.floor import heading_error_rad, rms, rms_deg
+from mavcompass.gap.left.floor import heading_error_rad, rms
 from mavcompass.gap.replay.nominal import Replay, replay
 from mavcompass.gap.replay.rows import shared_period_s
 from mavcompass.gap.result import Cause, Closing, Diagnosis, plain
@@ -32,9 +32,6 @@ from mavcompass.track import Track
 SCHEMA = "mavcompass.gap-compare/1"
 Lacks = Literal["simulator", "vehicle"]
 _EXPLAINED = ("named", "ambiguous", "named_with_remainder")
-_BELIEVED_DEG = 5.0
-_FLOOR_KNOWN = 0.9**2
-_BLOCK_S, _FEWEST_BLOCKS, _RESAMPLES, _SEED = 2.0, 6, 2000, 11
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +161,9 @@ def flown_again(
 
 def _believed(beside: Diagnosis) -> bool:
     """Tell whether a flight's calibration is near enough to its iron to teach what could contradict it."""
-    return beside.in_force is None or beside.in_force.sigma_heading_deg < _BELIEVED_DEG
+    return beside.in_force is None or beside.in_force.sigma_heading_deg < math.degrees(
+        usual.flown.believed_rad
+    )
 
 
 def _by_what_it_has(
@@ -191,7 +190,7 @@ def _by_what_it_has(
     return replace(
         forth,
         field=replace(forth.field, nominal=field),
-        heading=replace(forth.heading, nominal=rms_deg(turned[drawn.test])),
+        heading=replace(forth.heading, nominal=math.degrees(rms(turned[drawn.test]))),
         picture=replace(drawn, before_mgauss=left * (field / max(whole, 1e-9))),
         seconds=has.seconds,
     )
@@ -258,8 +257,10 @@ def _reached(path: str, before: Diagnosis, again: Diagnosis) -> Achieved:
     both = np.hstack([gap[:size], left[:size]])
     both = both[(both[:, 1] > 0.0) & (both[:, 3] > 0.0)]
     interval = (math.nan, math.nan)
-    if len(both) >= _FEWEST_BLOCKS:
-        picks = np.random.default_rng(_SEED).integers(len(both), size=(_RESAMPLES, len(both)))
+    if len(both) >= usual.flown.fewest:
+        picks = np.random.default_rng(usual.shrink.seed).integers(
+            len(both), size=(usual.shrink.resamples, len(both))
+        )
         total = both[picks].sum(axis=1).T
         excess2 = total[0] / total[1] - before.field.floor**2
         shrink = 1.0 - (_off(total[2] / total[3], again.field.floor**2) / excess2)[excess2 > 0.0]
@@ -278,7 +279,7 @@ def _off(left2: FloatArray, floor2: float) -> FloatArray:
     Above it something is missing. Well below it the simulator has too much noise, which must not count as a
     gap that closed; a floor holds something for the model itself, and is not known to a tenth.
     """
-    noise2 = _FLOOR_KNOWN * floor2 - usual.compass.discrepancy_mgauss**2
+    noise2 = usual.flown.floor_known * floor2 - usual.compass.discrepancy_mgauss**2
     return np.maximum(np.maximum(left2 - floor2, noise2 - left2), 0.0)
 
 
@@ -286,14 +287,14 @@ def _heading_shrink(before: Closing, again: Closing) -> float:
     """Return the share of the excess over the floor that is gone; each beside the floor of its flight."""
     excess = before.nominal**2 - before.floor**2
     left = max(again.nominal**2 - again.floor**2, 0.0)
-    return 1.0 - left / excess if _FLOOR_KNOWN * before.nominal**2 > before.floor**2 else math.nan
+    return 1.0 - left / excess if usual.flown.floor_known * before.nominal**2 > before.floor**2 else math.nan
 
 
 def _squares(diagnosis: Diagnosis) -> FloatArray:
     """Return sum and count of the squared held-out residual without effects, by block of time, (B, 2)."""
     picture = diagnosis.picture
     assert picture is not None
-    block = np.floor(picture.time_s[picture.test] / _BLOCK_S).astype(np.int64)
+    block = np.floor(picture.time_s[picture.test] / usual.shrink.block_s).astype(np.int64)
     square = np.sum(picture.before_mgauss[picture.test] ** 2, axis=1)
     return np.stack([np.bincount(block, square), 3.0 * np.bincount(block)], axis=1)
 

@@ -31,7 +31,7 @@ from mavcompass.blas import single_thread
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import BadRecording, PoorCalibration, Refused
 from mavcompass.gap import diagnose_gap
-from mavcompass.gap.left.floor import rms, rms_deg
+from mavcompass.gap.left.floor import rms
 from mavcompass.gap.rehearsal import Expected
 from mavcompass.gap.rehearsal.draws import Draws
 from mavcompass.gap.rehearsal.kind import kind_of
@@ -125,7 +125,7 @@ def judged(vehicle: SimulatedAutopilot, report: CalibrationReport) -> Reached:
         heading_errors_rad(vehicle, 1, correction, lean * math.cos(toward), lean * math.sin(toward))
         for toward in np.arange(8) * math.pi / 4.0
     ]
-    return heading_error_rms_deg(vehicle, 1, correction), rms_deg(np.array(errors))
+    return heading_error_rms_deg(vehicle, 1, correction), math.degrees(rms(np.array(errors)))
 
 
 def main() -> int:

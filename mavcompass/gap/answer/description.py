@@ -46,7 +46,6 @@ from mavcompass.parameter_remarks import remarks_said
 from mavcompass.simulation.effects import Stage, catalogue
 
 _PLACES = {WORLD_FIELD.id: FIELD, IRON_MATRIX: MATRIX, IRON_OFFSET: slice(OFFSET.start, MOTOR.stop)}
-_LEAST_WEIGHT = 0.02
 
 
 def beliefs(
@@ -57,7 +56,7 @@ def beliefs(
     chosen = [(1.0, named)]
     if sets:
         explored = {e.fit.ids: e.fit for e in identified.posterior.explanations} | {named.ids: named}
-        chosen = [(weight, explored[ids]) for ids, weight in sets if weight >= _LEAST_WEIGHT] or chosen
+        chosen = [(weight, explored[ids]) for ids, weight in sets if weight >= usual.report.weight] or chosen
     total = sum(weight for weight, _ in chosen)
     return tuple(_belief(problem, weight / total, fit) for weight, fit in chosen)
 
@@ -144,8 +143,6 @@ def corrected_rms(problem: Problem, fit: Fit, rows: NDArray[np.bool_]) -> float 
     return rms((replay.corrected_mgauss - field)[rows])
 
 
-_BINS = 12
-_REPORTED = 16
 _ALWAYS = {"time", "rate", "heading"}
 _UNITS = {"current": "A", "throttle": "", "temperature": "degC"}
 _WANDERS = (
@@ -217,15 +214,15 @@ def where(problem: Problem, fit: Fit) -> tuple[Place, ...]:
         part = max(float(fast) * float(residual @ residual) - 0.8 * residual.size, 0.0)
         found.append(Place(channel, "frequency", float(np.clip(part / whole, 0.0, 1.0)), "fast"))
     found.sort(key=lambda place: -place.share)
-    return tuple(p for p in found if p.share > 0.02)[:_REPORTED]
+    return tuple(p for p in found if p.share > 0.02)[: usual.report.places]
 
 
 def bin_means(values: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return centres, means and counts of the residual in bins of equal width along a coordinate."""
-    edges = np.linspace(float(values.min()), float(values.max()) + 1e-9, _BINS + 1)
-    label = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, _BINS - 1)
-    count = np.bincount(label, minlength=_BINS).astype(np.float64)
-    mean = np.bincount(label, residual, minlength=_BINS) / np.maximum(count, 1.0)
+    edges = np.linspace(float(values.min()), float(values.max()) + 1e-9, usual.report.bins + 1)
+    label = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, usual.report.bins - 1)
+    count = np.bincount(label, minlength=usual.report.bins).astype(np.float64)
+    mean = np.bincount(label, residual, minlength=usual.report.bins) / np.maximum(count, 1.0)
     return 0.5 * (edges[1:] + edges[:-1]), mean, count
 
 

@@ -140,11 +140,6 @@ def _reduced(problem: Problem, fit: Fit) -> float:
     return max(_squares(problem, fit) / size, 1e-3) if size else 1.0
 
 
-_RESAMPLES = 1000
-_BLOCK_S = 1.0
-_SEED = 7
-
-
 def figures(evidence: Evidence, named: Fit, with_scatter: bool) -> tuple[Closing, Closing]:
     """Measure field and heading on held-out rows with the named effects, and with scatter if that is named.
 
@@ -171,7 +166,7 @@ def figures(evidence: Evidence, named: Fit, with_scatter: bool) -> tuple[Closing
     limit, free = named.value(LIMIT), 1.0
     if limit is not None and rows.size:
         free = math.sqrt(float(np.mean(np.abs(measured[rows]) < usual.shrink.at_the_limit * limit)))
-    step_s = max(_BLOCK_S, 10.0 * float(np.median(np.diff(replay.time_s))))
+    step_s = max(usual.shrink.block_s, 10.0 * float(np.median(np.diff(replay.time_s))))
     block = np.floor((replay.time_s[rows] - replay.time_s[rows[:1]]) / step_s).astype(np.int64)
     field = _closing(
         (measured - nominal)[rows], (told - after)[rows], floor.field_rms_mgauss * free, added2, unseen2,
@@ -252,17 +247,17 @@ def _interval(
     if count < 4:
         # So few tell nothing: none or all of it may be closed.
         return (0.0, 1.0)
-    rng = np.random.default_rng(_SEED)
-    picks = rng.integers(count, size=(_RESAMPLES, count))
+    rng = np.random.default_rng(usual.shrink.seed)
+    picks = rng.integers(count, size=(usual.shrink.resamples, count))
     size = np.bincount(label)[picks].sum(axis=1) * before.shape[1]
     nominal2, after2 = (
         np.bincount(label, (error**2).sum(axis=1))[picks].sum(axis=1) / size for error in (before, after)
     )
-    floor2 = np.full(_RESAMPLES, floor**2)
+    floor2 = np.full(usual.shrink.resamples, floor**2)
     if len(floor_error) > 40:
         per = (floor_error**2).mean(axis=1)
         cells = per[: len(per) // 20 * 20].reshape(-1, 20).mean(axis=1)
-        floor2 = cells[rng.integers(cells.size, size=(_RESAMPLES, cells.size))].mean(axis=1)
+        floor2 = cells[rng.integers(cells.size, size=(usual.shrink.resamples, cells.size))].mean(axis=1)
     excess = nominal2 + unseen - floor2
     gap = excess > 0.0
     if not gap.any():

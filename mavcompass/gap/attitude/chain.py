@@ -16,10 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
-
-# So far apart at least, and no more of them than this.
-KNOT_S, _MOST_KNOTS, _FEWEST_KNOTS = 0.4, 600, 8
-_SILENCE = 2.5
+from mavcompass.gap.tables import usual
 
 
 class Reduced:
@@ -227,13 +224,13 @@ class Chain:
 def silences(clock: FloatArray) -> NDArray[np.bool_]:
     """Tell which of the steps between times (N,) are far longer than usual, (N - 1,)."""
     step = np.diff(clock)
-    return np.asarray(step > _SILENCE * np.median(step))
+    return np.asarray(step > usual.knots.silence * np.median(step))
 
 
 def knots_of(clock: FloatArray) -> FloatArray:
     """Return even knots, with one on each side of every silence and none in it."""
     span = float(clock[-1] - clock[0])
-    count = max(round(span / max(KNOT_S, span / _MOST_KNOTS)), _FEWEST_KNOTS) + 1
+    count = max(round(span / max(usual.knots.apart_s, span / usual.knots.most)), usual.knots.fewest) + 1
     even = np.linspace(clock[0], clock[-1], count)
     silent = np.flatnonzero(silences(clock))
     first, last = clock[silent], clock[silent + 1]

@@ -34,8 +34,6 @@ from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.effect import Detector
 from mavcompass.track import Track, uncut
 
-# What is left of a pass is the square of how far it moved, and how much its velocities are believed.
-_PASSES, _SETTLED_RAD, _AS_TRUSTED = 10, math.radians(0.3), 0.1
 _DOWN = np.array([0.0, 0.0, 1.0])
 
 
@@ -84,7 +82,7 @@ def smoothed_attitude(
     smoother, bound_mps = Smoother(sensed, bias, velocity, witness, scale_sigma), usual.velocity.usual_mps
     rotation, trust = smoother.through(smoother.at_knots(start)), smoother.full_trust()
     solved: Solved | None = None
-    for turn in range(_PASSES):
+    for turn in range(usual.knots.passes):
         chain = smoother.chain(rotation, trust)
         if turn == 1:
             bound_mps = smoother.likeliest_bound(chain)
@@ -93,8 +91,8 @@ def smoothed_attitude(
         phi = solved.states[:, PHI]
         rotation = smoother.through(rotvec_to_matrix(phi) @ smoother.at_knots(rotation))
         # A yaw that nothing fixes drifts on for ever.
-        settled = float(np.abs(phi - phi.mean(axis=0)).max()) < _SETTLED_RAD
-        if turn > 0 and settled and float(np.abs(trust - before).max(initial=0.0)) < _AS_TRUSTED:
+        settled = float(np.abs(phi - phi.mean(axis=0)).max()) < usual.knots.settled_rad
+        if turn > 0 and settled and float(np.abs(trust - before).max(initial=0.0)) < usual.knots.as_trusted:
             break
     assert solved is not None
     constants, change = solved.constants, solved.states[:, BIAS].mean(axis=0)

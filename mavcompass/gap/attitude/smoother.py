@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray, matrix_to_rotvec, rotvec_to_matrix
-from mavcompass.gap.attitude.chain import KNOT_S, Chain, Solved, knots_of, silences
+from mavcompass.gap.attitude.chain import Chain, Solved, knots_of, silences
 from mavcompass.gap.attitude.kinematics import (
     carried,
     cross_matrices,
@@ -41,7 +41,6 @@ _GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
 PHI, BIAS, _V, _FAST, _SLOW, _LEVEL, _STATES = slice(0, 3), slice(3, 6), slice(6, 9), 9, 10, (11, 12), 13
 # Constants: gyro scale, accelerometer bias, the receiver's delay, the witness's constant and its turns.
 SCALE, ACC, _LATE, _OFFSET, _TURNS, _CONSTANTS = slice(0, 3), slice(3, 6), 6, 7, slice(8, 11), 11
-_COVARIANCES, _MOST_SILENCES = 64, 32
 # How long a filter remembers what a turn has made of its yaw: one of these about, none tells.
 _TURN_MEMORIES_S = np.array([2.0, 8.0, 32.0])
 
@@ -204,9 +203,9 @@ class Smoother:
 
     def telling(self) -> NDArray[np.int64]:
         """Return knots (M,) that tell how the error goes: even ones, and the ends of the longest silences."""
-        even = np.linspace(0, self.knots.size - 1, _COVARIANCES).round().astype(np.int64)
+        even = np.linspace(0, self.knots.size - 1, usual.knots.telling).round().astype(np.int64)
         silent = np.flatnonzero(self._is_silent)
-        longest = silent[np.argsort(-self.step[silent])][:_MOST_SILENCES]
+        longest = silent[np.argsort(-self.step[silent])][: usual.knots.silences]
         return np.unique(np.concatenate([even, longest, longest + 1]))
 
     def between(self, values: FloatArray) -> FloatArray:
@@ -250,7 +249,7 @@ class Smoother:
         late = usual.autopilot.late_s * np.linalg.norm(turning, axis=1)
         scatter = np.repeat([usual.autopilot.level_scatter_rad, usual.autopilot.scatter_rad], [2, 1])
         scatter = np.hypot(scatter, late[:, None])
-        weights = min(1.0, self.news_s / KNOT_S) / scatter**2
+        weights = min(1.0, self.news_s / usual.knots.apart_s) / scatter**2
         J[:, 0, _LEVEL[0]] = J[:, 1, _LEVEL[1]] = 1.0
         if math.isfinite(witness.constant_rad):
             J[:, 2, _FAST] = J[:, 2, _SLOW] = c[:, 2, _OFFSET] = 1.0

@@ -24,6 +24,7 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.export.vehicle import Exported, Found, affine_map, commented
+from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects import Setting, spell
 from mavcompass.simulation.effects.effect import NEVER_S
 from mavcompass.simulation.effects.registry import PRESET_SCHEMA
@@ -97,7 +98,6 @@ def gazebo(found: Found) -> Exported:
 
 SIMULATOR = "ArduPilot's simulator"
 _AXES = "XYZ"
-_ROTATION_WORTH_SAYING_RAD = math.radians(0.1)
 # Outputs by function: motors 1 to 8 are 33 to 40.
 _FIRST_MOTOR = 33
 
@@ -124,7 +124,7 @@ class Affine:
     @property
     def left_out(self) -> list[str]:
         """List the effects that the simulator does not have of it."""
-        return ["misalignment"] if self.left_out_rad > _ROTATION_WORTH_SAYING_RAD else []
+        return ["misalignment"] if self.left_out_rad > usual.export.worth_saying_rad else []
 
     def lacking(self) -> list[str]:
         """Say what of it the simulator does not have."""

@@ -13,16 +13,14 @@ from mavcompass.correction import IDENTITY
 from mavcompass.frames import FloatArray
 from mavcompass.gap.replay.nuisance import known_iron
 from mavcompass.gap.result import FIELD, MOTOR, Belief, Cause, Diagnosis, Iron
+from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects import Setting, get
 from mavcompass.simulation.effects.effect import Distortion, Signals
 from mavcompass.simulation.physics.signals import Stimulus, ideal
 from mavcompass.track import Track
 
-_ROTATION_LEFT_OUT_RAD = math.radians(0.05)
 # What such effects do, a baseline does not teach.
 _OF_PLACES = frozenset({"position", "height"})
-_OWN_MATRIX = 1e-3
-_WORTH_SAYING_MGAUSS = 0.5
 
 
 def settings_of(causes: Iterable[Cause]) -> list[Setting]:
@@ -109,7 +107,7 @@ def _iron(iron: Iron) -> list[Setting]:
     if np.abs(soft).max() > 1e-6:
         places = {"xx": (0, 0), "yy": (1, 1), "zz": (2, 2), "xy": (0, 1), "xz": (0, 2), "yz": (1, 2)}
         found["soft_iron"] = {name: float(soft[i, j]) for name, (i, j) in places.items()}
-    if float(np.linalg.norm(vector)) > _ROTATION_LEFT_OUT_RAD:
+    if float(np.linalg.norm(vector)) > usual.export.turn_rad:
         found["misalignment"] = dict(zip("xyz", vector.tolist(), strict=True))
     if np.abs(iron.motor_mgauss).max() > 0.0:
         found["motor_current"] = dict(zip("xyz", iron.motor_mgauss.tolist(), strict=True))
@@ -178,7 +176,7 @@ class Found:
 
     def of_the_place(self, simulator: str) -> list[str]:
         """Say by how much the field of the place differs from the one that a simulator has."""
-        if self.place_mgauss < _WORTH_SAYING_MGAUSS:
+        if self.place_mgauss < usual.export.place_mgauss:
             return []
         return [f"The field of the place, {self.place_mgauss:.1f} mG. {simulator} has the world model's."]
 
@@ -186,7 +184,7 @@ class Found:
         """Return the offset (3,) in mG for a simulator that has no matrix, what that leaves out, and its
         effects."""
         matrix, offset = affine_map([s for s in self.settings if s.effect.affine])
-        if np.abs(matrix - np.eye(3)).max() <= _OWN_MATRIX:
+        if np.abs(matrix - np.eye(3)).max() <= usual.export.matrix:
             return offset, [], []
         bent = [s.effect.id for s in self.settings if s.effect.affine and s.effect.id != "hard_iron"]
         return offset, [f"Gains, oblique axes and turns of the compass: {simulator} has none."], bent

@@ -19,20 +19,9 @@ from mavcompass.gap.fit.hypothesis import CHANCE, Fit, Mask, weak_precision
 from mavcompass.gap.replay.noise import Noise, group_values
 from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.replay.nuisance import Prior
+from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.effect import Group, Signals
 from mavcompass.simulation.physics.signals import Reading
-
-_ITERATIONS = 12
-_CONVERGED = 0.02
-# Steps tried at a place, each shorter by a damping that tells; and the share of the expected gain that lets
-# the next be longer.
-_TRIALS, _LEAST_DAMPING, _AS_EXPECTED = 4, 1e-3, 0.5
-# After a step by so few squared sigmas derivatives are as good as new.
-_SMALL = 4.0
-# A derivative by a nuisance is as good as new so near, in natural sizes.
-_NEAR = 2.0
-# What errs together, in seconds.
-_LASTING_S = 10.0
 
 
 class Problem:
@@ -145,7 +134,7 @@ class Problem:
         tells (`cluster_covariance`).
         """
         columns, r = self.jacobian(fit), self.residual(self.predict(fit))
-        block = np.floor(self.replay.time_s[self.index] / _LASTING_S).astype(np.int64)
+        block = np.floor(self.replay.time_s[self.index] / usual.noise.lasting_s).astype(np.int64)
         label = np.tile(np.repeat(block, 3), len(self.groups))
         return cluster_covariance(columns, r, label, self._known(weak_precision(fit.terms)))
 
@@ -187,7 +176,7 @@ class Problem:
         end here stays."""
         return fit if fit in self._ended else self.fit(fit)
 
-    def fit(self, start: Fit, iterations: int = _ITERATIONS) -> Fit:
+    def fit(self, start: Fit, iterations: int = usual.newton.iterations) -> Fit:
         """Fit from a start by Levenberg and Marquardt; parameters stay inside their physical ranges."""
         terms, n = start.terms, len(self.nuisances)
         none, effects = self._prior[:0], [*(n.effect for n in self.nuisances), *terms]
@@ -199,14 +188,14 @@ class Problem:
         every = np.ones(self._prior.size, dtype=np.bool_)
         free = np.flatnonzero(np.concatenate([every, *(t.free for t in terms)]))
         known = self._known(weak_precision(terms))
-        usual = np.append(self._prior, np.zeros(len(known) - every.size))
+        mean = np.append(self._prior, np.zeros(len(known) - every.size))
 
         def at(z: FloatArray) -> Fit:
             thetas = np.split(z, ends)
             return Fit(terms, tuple(thetas[n : n + len(terms)]), tuple(thetas[:n]))
 
         def cost_of(r: FloatArray, z: FloatArray) -> float:
-            return float(r @ r + (z[free] - usual) @ known @ (z[free] - usual))
+            return float(r @ r + (z[free] - mean) @ known @ (z[free] - mean))
 
         states = self.composition.states(at(z))
         r = self.residual(states[-1].reading)
@@ -215,19 +204,19 @@ class Problem:
         normal = np.zeros((0, 0))
         first, made_at, own, ended = None, z, None, False
         for _ in range(iterations):
-            if first is None or self._away(z, made_at) > _NEAR:
+            if first is None or self._away(z, made_at) > usual.newton.near:
                 first, made_at = self.columns(at(z), states, range(n)), z
                 squared = first.T @ first
             if own is None:
                 own = self.columns(at(z), states, range(n, n + len(terms)))
             across = first.T @ own
             normal = np.block([[squared, across], [across.T, own.T @ own]]) + known
-            gradient = np.concatenate([first.T @ r, own.T @ r]) - known @ (z[free] - usual)
+            gradient = np.concatenate([first.T @ r, own.T @ r]) - known @ (z[free] - mean)
             if not normal.size:
                 break
             # Where much is left, the noise is larger than stated, and so is what chance gains.
-            gained, least = 0.0, _CONVERGED * max(1.0, cost / max(r.size, 1))
-            for _ in range(_TRIALS):
+            gained, least = 0.0, usual.newton.converged * max(1.0, cost / max(r.size, 1))
+            for _ in range(usual.newton.trials):
                 step = solve_within(normal, gradient, damping, (lower - z)[free], (upper - z)[free])
                 expected = float(step @ (2.0 * gradient - normal @ step))
                 if expected < least:
@@ -241,11 +230,11 @@ class Problem:
                 if trial_cost < cost:
                     gained = cost - trial_cost
                     z, states, r, cost = trial, trial_states, trial_r, trial_cost
-                    damping *= 0.03 if gained > _AS_EXPECTED * expected else 1.0
+                    damping *= 0.03 if gained > usual.newton.as_expected * expected else 1.0
                     break
-                damping = 30.0 * max(damping, _LEAST_DAMPING)
+                damping = 30.0 * max(damping, usual.newton.damping)
             if gained >= least:
-                if expected > _SMALL or gained < _AS_EXPECTED * expected:
+                if expected > usual.newton.small or gained < usual.newton.as_expected * expected:
                     own = None
                 continue
             ended = True

@@ -169,12 +169,7 @@ def apart(
 ) -> tuple[float, float]:
     """Return by how much two fields (N, 3) differ on some rows, as rms: field (mG) and heading (deg)."""
     turned = heading_error_rad(replay, field_mgauss, other_mgauss)
-    return rms((field_mgauss - other_mgauss)[rows]), rms_deg(turned[rows])
-
-
-def rms_deg(angle_rad: FloatArray) -> float:
-    """Return the root mean square of angles, in degrees."""
-    return math.degrees(math.sqrt(float(np.mean(angle_rad**2)))) if angle_rad.size else math.nan
+    return rms((field_mgauss - other_mgauss)[rows]), math.degrees(rms(turned[rows]))
 
 
 def rms(error: FloatArray) -> float:

@@ -11,14 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.effect import Group
 from mavcompass.simulation.physics.signals import Reading
 
-_MOST_LAGS = 4
-# Readings that a wandering error lasts, how often the recording must hold that, and how much of an
-# innovation stays.
-_MEMORIES, _FEWEST_MEMORIES = (10, 20, 40, 80, 160, 320), 12
-_GAINS = (0.01, 0.02, 0.04, 0.08, 0.15, 0.3)
 # Readings that a recursion filters at once.
 _STRETCH = 32
 
@@ -169,7 +165,7 @@ def _estimated(error: FloatArray, usable: NDArray[np.bool_], least_sigma: float)
     rows = rows - rows.mean(axis=0)
     width = error.shape[1]
     scale = np.maximum(rows.std(axis=0), least_sigma)
-    most = _MOST_LAGS if len(rows) > 200 else 1
+    most = usual.noise.lags if len(rows) > 200 else 1
     together = usable.copy()
     for lag in range(1, most + 1):
         together[lag:] &= usable[:-lag]
@@ -215,11 +211,11 @@ def _wandering_part(
     """
     held = z[np.maximum.accumulate(np.where(usable, np.arange(len(z)), 0))]
     found: list[tuple[float, float, float, FloatArray]] = []
-    for memory in _MEMORIES:
-        if memory * _FEWEST_MEMORIES > index.size:
+    for memory in usual.noise.memories:
+        if memory * usual.noise.fewest_memories > index.size:
             break
         correlation = 1.0 - 1.0 / memory
-        for gain in _GAINS:
+        for gain in usual.noise.gains:
             moving = correlation * (1.0 - gain)
             news = held.copy()
             news[1:] -= correlation * held[:-1]
