@@ -1,8 +1,9 @@
 """Candidates: every effect of the catalogue linearised where it would begin, in one pass; the likeliest sets.
 
-What a set costs is (1) of `selection/posterior`: its parameters and effects have prices that were learnt, and
-what readings say counts by how far blocks of the recording contradict each other. One more effect is taken
-where that makes a set cheaper. The likeliest sets of each size come from normal equations, without a fit.
+What a set costs is (1) of `selection/identification`: its parameters and effects have prices that were
+learnt, and what readings say counts by how far blocks of the recording contradict each other. One more effect
+is taken where that makes a set cheaper. The likeliest sets of each size come from normal equations, without a
+fit.
 """
 
 from __future__ import annotations
