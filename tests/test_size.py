@@ -12,13 +12,13 @@ ROOT = Path(__file__).parents[1]
 LINES = {
     "package gap": (13_880, 10_500),
     "package simulation": (7_850, 5_800),
-    "package attitude calibration heading": (9_100, 5_400),
+    "package attitude calibration heading": (9_130, 5_400),
     "package vehicle messages enums.py": (7_690, 5_200),
     "package procedure": (6_330, 4_400),
-    "package service": (5_400, 4_100),
+    "package service": (5_410, 4_100),
     "package logs": (4_480, 3_600),
     "package cli": (4_060, 2_900),
-    "package": (66_130, 46_500),
+    "package": (66_140, 46_500),
     "tests": (43_870, 29_000),
     "scripts": (8_630, 4_400),
 }

@@ -66,6 +66,8 @@ _STILL_RADPS, _STILL_S, _STILL_MPS2 = math.radians(1.5), 1.0, 0.01
 _LEAST_FORCE2, _LEAST_RATE2, _FOURTH = 0.02**2, 0.001**2, 0.288
 # Gyros whose scales and axes are off by this much miss so much of a turn.
 _SCALE = 0.003
+# Compass readings are late: where it pointed in the half second before.
+_KEPT_EVERY_S, _KEPT = 0.015, 30
 # A measurement farther off than this, in squared sigmas, counts for as much less.
 _OUTLIER = 9.0
 
@@ -90,7 +92,7 @@ class Level:
     def restart(self) -> None:
         """Begin anew after a silence or a reboot: the direction of then says nothing of now."""
         self._time_s = self._speed_s = self._bounded_s = -math.inf
-        self._still_s = 0.0
+        self._still_s, self._drives = 0.0, False
         # Rows of the rotation from the body to the frame.
         self._x: Vector = (1.0, 0.0, 0.0)
         self._y: Vector = (0.0, 1.0, 0.0)
@@ -98,6 +100,7 @@ class Level:
         self._acc: Vector = (0.0, 0.0, -_G)
         self._gyro: Vector = (0.0, 0.0, 0.0)
         self._gone: tuple[tuple[Vector, Vector], ...] = ()
+        self._past: tuple[tuple[float, Vector, float], ...] = ()
         self._bias: complex = 0.0
         self._v = self._c = self._e = 0.0 + 0.0j
         self._pushed = self._slow = 0.0 + 0.0j
@@ -126,9 +129,18 @@ class Level:
             return UNKNOWN_RAD**2
         return max(self._p[_TAU_TAU].real, 1e-10) * max(self._misfit, 1.0)
 
-    def turned_at(self, time_s: float) -> float:
-        """Return the angle turned at a moment near the latest reading's."""
-        return self.turned_rad + self.rate_radps * max(min(time_s - self._time_s, 0.5), -0.5)
+    def at(self, time_s: float) -> tuple[Vector, float]:
+        """Return which way was down, and the angle turned, at a moment of the latest half second."""
+        after_s, down, turned = self._time_s, self.down, self.turned_rad
+        for before_s, was, had in reversed(self._past):
+            if time_s >= after_s:
+                break
+            if time_s > before_s:
+                k = (time_s - before_s) / (after_s - before_s)
+                x, y, z = (a + k * (b - a) for a, b in zip(was, down, strict=True))
+                return (x, y, z), had + k * (turned - had)
+            after_s, down, turned = before_s, was, had
+        return down, turned + self.rate_radps * max(min(time_s - after_s, 0.5), -0.5)
 
     @property
     def is_still(self) -> bool:
@@ -155,6 +167,8 @@ class Level:
         if step_s > self._longest_step_s or not is_gravity(self._g_mps2):
             self._begin(time_s, acc_mps2, gyro_radps)
             return
+        if not self._past or self._time_s - self._past[-1][0] > _KEPT_EVERY_S:
+            self._past = (*self._past[-_KEPT:], (self._time_s, self.down, self.turned_rad))
         acc, gyro = _middle(self._acc, acc_mps2), _middle(self._gyro, gyro_radps)
         self._note_noise(acc_mps2, gyro_radps)
         self._time_s, self._acc, self._gyro = time_s, acc_mps2, gyro_radps
@@ -165,7 +179,8 @@ class Level:
         self._turn_body(turn)
         after = complex(self._x[0] + self._y[1], self._y[0] - self._x[1]) * 0.5
         raw = dot(gyro_radps, self.down)
-        if abs(raw) < 0.02:  # standing, or as good as
+        drives = self._drives and time_s - self._speed_s < _SPEED_KNOWN_S
+        if abs(raw) < 0.02 and not drives:  # standing, or as good as: what drives may well turn as slowly
             self.bias_radps += min(step_s / 10.0, 1.0) * (raw - self.bias_radps)
         self.rate_radps = raw - self.bias_radps
         turned = cmath.phase(complex(self._x[0], self._y[0])) - azimuth
@@ -181,11 +196,11 @@ class Level:
         since_s = moment_s - self._speed_s
         if not (0.0 < since_s and self._time_s > -math.inf):
             return
-        self._speed_s = moment_s
         u = complex(north_mps, east_mps)
+        self._speed_s, self._drives = moment_s, abs(u) >= 3.0 * RECEIVER_SIGMA_MPS
         r = RECEIVER_SIGMA_MPS**2 * max(_RECEIVER_MEMORY_S / min(max(since_s, 0.05), 1.0), 1.0)
         then = self._v - self._pushed * (self._time_s - moment_s)
-        if abs(u) < 3.0 * RECEIVER_SIGMA_MPS:  # too slow to tell a direction
+        if not self._drives:  # too slow to tell a direction
             self._correct(((_V, 1.0),), -then, r + abs(u) ** 2)
             return
         self._correct(((_V, 1.0), (_C, -u)), self._c * u - then, r, adaptive=True)

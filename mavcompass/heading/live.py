@@ -23,8 +23,8 @@ from mavcompass.heading.fault_isolation import HeadingSource, isolate_faults
 
 _TWO_PI = 2.0 * math.pi
 # Autopilots average the compass over 100 ms and repeat it: a turning vehicle's reading is old by about this
-# much, and by as much more or less.
-_LAG_S = _LAG_SIGMA_S = 0.1
+# much, and by as much more or less: the age that is taken, the newest and the oldest.
+_LAGS_S = 0.1, 0.0, 0.2
 _QUANTUM_SIGMA_MGAUSS = 1.0 / math.sqrt(12.0)
 # What the field's strength tells of the calibration is averaged over some fifty readings a sector, and looked
 # at so often.
@@ -38,12 +38,13 @@ class Heading:
     """Hold one heading.
 
     Attributes:
-        time_s: arrival, on the link's clock. boot_s: on the vehicle's.
+        time_s: arrival, on the link's clock. boot_s: its moment, on the vehicle's.
         instance: the compass, from 1.
         magnetic_rad, true_rad: in [0, 2 pi); true is None where the declination is not known.
         sigma_rad: standard deviation of the magnetic heading.
         level_mgauss: the field along forward, right and down of the levelled vehicle.
-        turned_rad: the gyro's angle at the moment that the reading is of.
+        turned_rad: the gyro's angle at that moment.
+        newer_rad, older_rad: by how much more it would be were the reading as new, or as old, as it may be.
     """
 
     time_s: float
@@ -54,6 +55,13 @@ class Heading:
     sigma_rad: float
     level_mgauss: Vector
     turned_rad: float = 0.0
+    newer_rad: float = 0.0
+    older_rad: float = 0.0
+
+    @property
+    def from_gyro_rad(self) -> float:
+        """Return how far it is ahead of the gyro's angle, which is comparable between moments."""
+        return self.magnetic_rad - self.turned_rad
 
     @property
     def total_mgauss(self) -> float:
@@ -95,7 +103,7 @@ class LiveCompass:
         """Forget how noisy and how far off the field was: the correction in force has changed."""
         self.own_sigma_rad = self.beyond_rad = 0.0
         self._before: Vector | None = None
-        self._new_at_rad = 0.0  # turned when the reading was new
+        self._new_s = 0.0  # the vehicle's time when the reading was new
         self._doubt, self._looked_s = CalibrationDoubt(0.0, self.world), -math.inf
         self._iron = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 
@@ -118,32 +126,29 @@ class LiveCompass:
         if self._affine is not None:
             rx, ry, rz, offset = self._affine
             m = (dot(rx, m) + offset[0], dot(ry, m) + offset[1], dot(rz, m) + offset[2])
-        dx, dy, dz = level.down
-        ahead = math.sqrt(dy * dy + dz * dz)  # length of the horizontal part of the body's x axis
-        if ahead < 1e-3:
-            return None
-        # forward = (1 - dx^2, -dx dy, -dx dz) / ahead and right = (0, dz, -dy) / ahead
-        along = m[0] * ahead - dx * (dy * m[1] + dz * m[2]) / ahead
-        across = (dz * m[1] - dy * m[2]) / ahead
-        below = dx * m[0] + dy * m[1] + dz * m[2]
-        horizontal = math.sqrt(along * along + across * across)
+        is_new, self._before = m != self._before, m
+        if is_new:  # a repeated reading is as old as it is
+            self._new_s = boot_s
+        (field, magnetic, turned), *others = (
+            _levelled(m, *level.at(self._new_s - late_s)) for late_s in _LAGS_S
+        )
+        horizontal = math.hypot(field[0], field[1])
         if horizontal < 1.0:
             return None
-        magnetic = math.atan2(-across, along) % _TWO_PI
+        late = [math.remainder(psi - at - (magnetic - turned), _TWO_PI) for _, psi, at in others]
+        if is_new:
+            self._doubt.add(*field, keep=_KEEP)
+        now_rad = level.at(boot_s)[1]
+        magnetic += now_rad - turned
         true = None if self._declination_rad is None else (magnetic + self._declination_rad) % _TWO_PI
-        self.own_sigma_rad = self._sigma_rad(time_s, m, (along, across, below), horizontal, level)
+        self.own_sigma_rad = self._sigma_rad(time_s, field, horizontal, level.sigma_rad, max(map(abs, late)))
         sigma = min(math.hypot(self.own_sigma_rad, self.beyond_rad), math.pi)
-        turned = level.turned_at(boot_s - _LAG_S)
-        field = (along, across, below)
-        self.latest = Heading(time_s, boot_s, self.instance, magnetic, true, sigma, field, turned)
+        magnetic %= _TWO_PI
+        self.latest = Heading(time_s, boot_s, self.instance, magnetic, true, sigma, field, now_rad, *late)
         return self.latest
 
-    def _sigma_rad(self, time_s: float, m: Vector, field: Vector, horizontal: float, level: Level) -> float:
+    def _sigma_rad(self, time_s: float, field: Vector, horizontal: float, tilt: float, late: float) -> float:
         """Combine calibration, noise, tilt and lag; see `heading.doubt`."""
-        turning = abs(level.rate_radps)
-        if m != self._before:  # repeated readings say nothing of the noise
-            self._before, self._new_at_rad = m, level.turned_rad
-            self._doubt.add(*field, keep=_KEEP)
         if time_s - self._looked_s >= _LOOK_S:
             usual = horizontal if self.world is None else self.world.horizontal_mgauss
             self._doubt.sigma_mgauss, self._looked_s = self.calibration_sigma_rad * usual, time_s
@@ -154,10 +159,21 @@ class LiveCompass:
         u, v = field[0] / horizontal, field[1] / horizontal
         across2 = (u * y - v * x) ** 2 + v * v * xx - 2.0 * u * v * xy + u * u * yy
         noise = scatter2 + _QUANTUM_SIGMA_MGAUSS**2
-        tilt = field[2] / horizontal * math.hypot(level.sigma_rad, TILT_SIGMA_RAD)
-        lag = turning * _LAG_SIGMA_S + abs(level.turned_rad - self._new_at_rad)
-        variance = across2 / strength**2 + noise / (horizontal * horizontal) + tilt * tilt + lag * lag
+        tilt = field[2] / horizontal * math.hypot(tilt, TILT_SIGMA_RAD)
+        variance = across2 / strength**2 + noise / (horizontal * horizontal) + tilt * tilt + late * late
         return min(math.sqrt(variance), math.pi)
+
+
+def _levelled(m: Vector, down: Vector, turned_rad: float) -> tuple[Vector, float, float]:
+    """Return a reading's field in the level, its heading, and the gyro's angle that was given."""
+    dx, dy, dz = down
+    ahead = math.sqrt(dy * dy + dz * dz)  # length of the horizontal part of the body's x axis
+    if ahead < 1e-3:
+        return (0.0, 0.0, 0.0), 0.0, turned_rad
+    # forward = (1 - dx^2, -dx dy, -dx dz) / ahead and right = (0, dz, -dy) / ahead
+    along = m[0] * ahead - dx * (dy * m[1] + dz * m[2]) / ahead
+    across = (dz * m[1] - dy * m[2]) / ahead
+    return (along, across, dx * m[0] + dy * m[1] + dz * m[2]), math.atan2(-across, along), turned_rad
 
 
 class Agreement:

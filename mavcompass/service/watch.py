@@ -28,8 +28,8 @@ _RAISE_S = 5.0
 _CLEAR_S = 10.0
 _CLEAR_BELOW = 0.7
 _BAD_ABOVE = 2.5  # times the limit
-# Turns of 3 degrees tell nothing of iron: a gyro drifts by as much in a minute.
-_NO_TURN = (3.0 * _DEG) ** 2 * np.eye(2)
+# Turns of 3 degrees tell nothing of iron: a gyro drifts by as much in a minute. And a tenth of one is noise.
+_NO_TURN_RAD, _NOT_LATE_RAD = 3.0 * _DEG, 0.1 * _DEG
 _TURN_RAD, _SPREAD_A = 2.0 * math.pi, 0.7
 COURSE_SPEED_MPS = 1.5  # slower, the receiver's noise turns its course
 _AHEAD_KINDS = frozenset({"rover", "boat", "sub"})
@@ -126,70 +126,80 @@ class _Average:
 
 
 @dataclass(slots=True)
+class _Covariance:
+    """Average the mean and the covariance of values over about `span` of whatever passes."""
+
+    span: float
+    weight: float = 0.0
+    _mean: FloatArray | float = 0.0
+    products: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def add(self, values: FloatArray, amount: float) -> None:
+        self.weight, share = _forgetting(self.weight, amount, self.span)
+        before = values - self._mean
+        self._mean = self._mean + share * before
+        now = np.outer(before, values - self._mean)
+        self.products = self.products + share * (now - self.products) if self.products.size else share * now
+
+    def beside(self, known: int, least: float) -> FloatArray:
+        """Return the covariance of the rest beside what goes with the first ones, told from `least` up."""
+        first, both, rest = (
+            self.products[:known, :known],
+            self.products[known:, :known],
+            self.products[known:, known:],
+        )
+        return np.asarray(rest - both @ np.linalg.solve(first + least**2 * np.eye(known), both.T))
+
+
+@dataclass(slots=True)
 class _GyroComparison:
     """Compare the heading's change with the gyro's, per angle turned.
 
     What comes between them while nothing turns is the gyro's drift: it teaches nothing of the compass. What
-    goes with the rate is how late a reading is (0 to 0.25 s, by firmware and stream), and no iron either.
+    goes with how late a reading is (0 to 0.25 s, by firmware and stream) is no iron either.
     """
 
-    means: tuple[_Average, ...] = field(default_factory=lambda: tuple(_Average(_TURN_RAD) for _ in range(2)))
-    products: tuple[_Average, ...] = field(default_factory=lambda: tuple(_Average(math.pi) for _ in range(3)))
-    _last: tuple[float, float] | None = None
-    _difference_rad: float = 0.0
+    _seen: _Covariance = field(default_factory=lambda: _Covariance(_TURN_RAD))
+    _last: FloatArray | None = None
+    _sum: FloatArray = field(default_factory=lambda: np.zeros(4))
 
-    def add(self, heading_rad: float, turned_rad: float, rate_radps: float) -> None:
-        if self._last is None:
-            self._last = (heading_rad, turned_rad)
+    def add(self, heading: Heading) -> None:
+        now = np.array([heading.newer_rad, heading.older_rad, heading.from_gyro_rad, heading.turned_rad])
+        steps = np.zeros(4) if self._last is None else now - self._last
+        self._last, turned = now, abs(float(steps[3]))
+        if turned < 0.003:
             return
-        step, turned = _wrap(heading_rad - self._last[0]), turned_rad - self._last[1]
-        self._last = (heading_rad, turned_rad)
-        if abs(turned) < 0.003:
-            return
-        self._difference_rad += _wrap(step - turned)
-        off = []
-        for mean, value in zip(self.means, (self._difference_rad, rate_radps), strict=True):
-            mean.add(value, abs(turned))
-            off.append(value - mean.value)
-        for product, (i, j) in zip(self.products, ((0, 0), (0, 1), (1, 1)), strict=True):
-            product.add(off[i] * off[j], abs(turned))
+        self._sum += (steps + math.pi) % (2.0 * math.pi) - math.pi
+        self._seen.add(self._sum[:3], turned)
 
     @property
     def known(self) -> bool:
-        return all(average.known for average in (*self.means, *self.products))
+        return self._seen.weight > 0.3
 
     @property
     def rms_rad(self) -> float:
-        square, both, rates = (product.value for product in self.products)
-        late = both * both / rates if rates > 0.0 else 0.0
-        return math.sqrt(max(square - late, 0.0)) if self.known else 0.0
+        return math.sqrt(max(float(self._seen.beside(2, _NOT_LATE_RAD)[0, 0]), 0.0)) if self.known else 0.0
 
 
 @dataclass(slots=True)
 class _CurrentCoupling:
     """Find how the field, level and vertical, goes with the current, beside how it goes with turns (iron)."""
 
-    span_s: float = 60.0
-    _weight: float = 0.0
-    _mean: FloatArray = field(default_factory=lambda: np.zeros(5))
-    _products: FloatArray = field(default_factory=lambda: np.zeros((5, 5)))
+    _seen: _Covariance = field(default_factory=lambda: _Covariance(60.0))
 
     def add(self, current_a: float, heading: Heading, step_s: float) -> None:
-        self._weight, gain = _forgetting(self._weight, step_s, self.span_s)
         turned_rad, level = heading.turned_rad, (heading.horizontal_mgauss, heading.level_mgauss[2])
-        values = np.array([math.cos(turned_rad), math.sin(turned_rad), current_a, *level])
-        before = values - self._mean
-        self._mean = self._mean + gain * before
-        self._products += gain * (np.outer(before, values - self._mean) - self._products)
+        self._seen.add(np.array([math.cos(turned_rad), math.sin(turned_rad), current_a, *level]), step_s)
 
     def swing_mgauss(self) -> float:
         """Return how far the field goes with the current, 0 where they are not seen to go together."""
-        turns, both, rest = self._products[:2, :2], self._products[2:, :2], self._products[2:, 2:]
-        (ii, ih, iz), (_, hh, _), (_, _, zz) = rest - both @ np.linalg.solve(turns + _NO_TURN, both.T)
-        if self._weight < 0.3 or ii < _SPREAD_A**2 or ih * ih + iz * iz < 0.4 * ii * (hh + zz):
+        if self._seen.weight < 0.3:
+            return 0.0
+        (ii, ih, iz), (_, hh, _), (_, _, zz) = self._seen.beside(2, _NO_TURN_RAD)
+        if ii < _SPREAD_A**2 or ih * ih + iz * iz < 0.4 * ii * (hh + zz):
             return 0.0
         # Two standard deviations either side cover the range of the current.
-        return float(4.0 * math.hypot(ih, iz) / ii * math.sqrt(self._products[2, 2]))
+        return float(4.0 * math.hypot(ih, iz) / ii * math.sqrt(self._seen.products[2, 2]))
 
 
 @dataclass(slots=True)
@@ -256,10 +266,10 @@ class CompassWatch:
             record.dip.add((heading.dip_rad - world.inclination_rad) / _DEG, step_s)
         first = glance.headings.get(1)
         if first is not None and heading.instance != 1 and glance.time_s - first.time_s < 1.0:
-            record.apart.add(_wrap(heading.magnetic_rad - first.magnetic_rad) / _DEG, step_s)
+            record.apart.add(_wrap(heading.from_gyro_rad - first.from_gyro_rad) / _DEG, step_s)
         still = (glance.rate_radps, glance.bias_radps, glance.stands)
         record.step.add(heading, *still, step_s, self.limits.step_deg)
-        record.gyro.add(heading.magnetic_rad, heading.turned_rad, glance.rate_radps)
+        record.gyro.add(heading)
         course = glance.course_rad
         if course is not None and heading.true_rad is not None and _drives_straight_ahead(glance):
             off = _wrap(course - heading.true_rad) / _DEG

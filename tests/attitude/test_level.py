@@ -75,7 +75,7 @@ def test_the_turned_angle_follows_a_tilted_vehicle_around() -> None:
             tuple(rotate_back(attitude, [0.0, 0.0, rate])),
         )
     assert level.turned_rad == pytest.approx(rate * 1999 * step_s, rel=0.002)
-    assert level.turned_at(19.89) == pytest.approx(rate * 19.89, rel=0.002)
+    assert level.at(19.89)[1] == pytest.approx(rate * 19.89, rel=0.002)
     assert level.roll_rad == pytest.approx(0.2, abs=0.002)
     assert level.pitch_rad == pytest.approx(-0.1, abs=0.002)
 
@@ -88,6 +88,19 @@ def test_the_bias_about_the_vertical_is_what_rest_shows() -> None:
     for k in range(6000, 7000):
         level.update(k * 0.01, (0.0, 0.0, -G), (0.0, 0.0, 0.01))
     assert abs(level.turned_rad - before) < 0.002
+
+
+def test_a_slow_bend_of_what_drives_is_no_bias() -> None:
+    level = Level("rover")
+    for k in range(9000):
+        drives, rate = k > 1000, 0.01 * (k > 1000) + 0.003
+        level.update(k * 0.01, (0.0, 2.0 * 0.01 * drives, -G), (0.0, 0.0, rate))
+        if k % 20 == 0:
+            level.hear_velocity(
+                k * 0.01, 2.0 * drives * math.cos(k * 1e-4), 2.0 * drives * math.sin(k * 1e-4)
+            )
+    assert level.bias_radps == pytest.approx(0.003, abs=0.0015)
+    assert level.turned_rad == pytest.approx(0.8, abs=0.1)
 
 
 def test_late_readings_do_nothing_and_after_a_silence_it_begins_anew() -> None:
