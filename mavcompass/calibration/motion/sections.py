@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from mavcompass.attitude import Levels, levels
 from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD
 from mavcompass.calibration.observation.turning import (
+    DRIFT_RADPS2,
+    DRIFTS_FOR_S,
     GYRO_SCALE_SIGMA,
     TurnRecord,
 )
@@ -34,8 +36,6 @@ _LONGEST_GAP_S = 1.0
 _MOST_SECTIONS = 160
 # The cutting looks at means over this time; inside a section every reading counts.
 _GRAIN_S = 0.1
-# A gyro's bias wanders by this much between sections.
-_WANDER_RADPS = math.radians(0.01)
 _LEAST_NOISE_MGAUSS, _USUAL_NOISE_MGAUSS = 0.2, 3.0
 # Readings further apart show motion between them, not noise; a gyro's then miss what the vehicle did.
 _SPARSE_S, _WORST_SPARSE = 0.2, 5.0
@@ -200,7 +200,9 @@ def cut_sections(
     middle_load = float(loads.mean()) if loads.size else 0.0
     if reference is None:
         white = np.array([_step_sigma(record, a, b) for a, b in pairwise(middle)])
-        sigma = np.hypot(white, _WANDER_RADPS * steps)
+        # What is not known of the bias is common to all but for its drift.
+        drift = DRIFT_RADPS2 * min(float(time[-1] - time[0]), DRIFTS_FOR_S) if time.size else 0.0
+        sigma = np.hypot(white, min(drift, record.bias_sigma_radps) * steps)
     else:
         sigma = np.full(steps.size, math.sqrt(2.0) * reference.sigma_rad)
     return Sections(

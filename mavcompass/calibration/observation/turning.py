@@ -27,7 +27,7 @@ BARE_BIAS_SIGMA_RADPS = math.radians(3.0)
 GYRO_SCALE_SIGMA = 0.01
 _WINDOW_S = 3.0
 # How fast a MEMS gyro's bias drifts while it warms up, and for how long the same way.
-_DRIFT_RADPS2, _DRIFTS_FOR_S = math.radians(0.0007), 100.0
+DRIFT_RADPS2, DRIFTS_FOR_S = math.radians(0.0007), 100.0
 _MOST_STRETCHES = 300
 # Windows share their errors (a creep below the compass's resolution): no more than two count as independent.
 _INDEPENDENT_WINDOWS = 2.0
@@ -230,8 +230,8 @@ def _drifting(
     if not seen:
         return np.zeros(time.size), prior_sigma
     middle, rate, sigma = _grouped(np.array(seen)).T
-    apart = (middle[:, np.newaxis] - middle) / _DRIFTS_FOR_S
-    drifting = min(_DRIFT_RADPS2 * _DRIFTS_FOR_S, prior_sigma) ** 2
+    apart = (middle[:, np.newaxis] - middle) / DRIFTS_FOR_S
+    drifting = min(DRIFT_RADPS2 * DRIFTS_FOR_S, prior_sigma) ** 2
     believed = prior_sigma**2 - drifting * (1.0 - np.exp(-0.5 * apart**2))
     gain = np.linalg.solve(believed + np.diag(sigma**2), believed).T
     left = np.diag(believed) - np.einsum("ij,ji->i", gain, believed)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from calibration_worlds import FIELD, heading_errors, iron_of, rms, turning_track
@@ -11,7 +13,7 @@ from mavcompass.calibration.methods import running
 from mavcompass.calibration.methods.running import learn
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.correction import FieldCorrection
-from mavcompass.track import Track
+from mavcompass.track import Series, Track
 
 STRONG = FieldCorrection((60.0, -40.0, 25.0), (1.08, 0.93, 1.0), (0.02, 0.0, 0.0))
 ROUND = tuple(70.0 if k % 2 else 50.0 for k in range(18))
@@ -22,10 +24,6 @@ def driven(**changes: object) -> Track:
 
 
 def disturbed(track: Track, start_s: float, end_s: float, by: tuple[float, float, float]) -> Track:
-    from dataclasses import replace
-
-    from mavcompass.track import Series
-
     compass = track.compasses[1]
     inside = (compass.time_s >= start_s) & (compass.time_s < end_s)
     values = compass.reported.values + inside[:, np.newaxis] * np.asarray(by)
@@ -40,6 +38,18 @@ def test_a_recording_is_calibrated_as_it_runs() -> None:
     assert error < 0.3
     assert error < 3.0 * learnt.result.heading_sigma_deg
     assert learnt.gain_deg == pytest.approx(learnt.result.heading_change_deg, abs=1.0)
+
+
+def test_a_gyro_that_drifts_and_never_stands_neither_bends_the_result_nor_lets_it_be_doubted() -> None:
+    turns = tuple(70.0 if k % 3 else -50.0 for k in range(24))
+    track = turning_track(iron_of(STRONG), dwell_s=0.1, turn_s=20.0, turns_deg=turns)
+    gyro = track.gyro_radps
+    assert gyro is not None
+    to_and_fro = 0.12 * (1.0 - np.abs(2.0 * gyro.time_s / gyro.time_s[-1] - 1.0))  # in eight minutes
+    drifting = gyro.values + np.radians(np.outer(to_and_fro, (0.0, 0.0, 1.0)))
+    result = learn(Recorded(replace(track, gyro_radps=Series.of(gyro.time_s, drifting)), earth=FIELD)).result
+    assert result.accepted and result.heading_sigma_deg < 0.3
+    assert rms(heading_errors(result.correction, iron_of(STRONG))) < 0.1
 
 
 def test_what_passes_is_left_out() -> None:
