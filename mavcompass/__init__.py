@@ -82,4 +82,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({"__version__", *_PUBLIC})
+    # Who lists a module looks at all that it lists; MAVProxy asks for its own name, and is seldom there.
+    return sorted({"__version__", *__all__})
