@@ -239,11 +239,12 @@ def _true_source(name: str, moments: _Moments, true: Series, sigma_rad: float) -
 
 def _course(moments: _Moments, velocity: Series) -> Iterator[HeadingSource]:
     """Yield the course over ground of what drives ahead, and straight."""
-    north, east = np.asarray(velocity.values)[:, :2].T
+    told = np.diff(velocity.time_s, prepend=-np.inf) > 0.0  # a fix may be told twice
+    time, (north, east) = velocity.time_s[told], np.asarray(velocity.values)[told, :2].T
     course = np.where(np.hypot(north, east) > _COURSE_MPS, np.arctan2(east, north), np.nan)
-    turning = np.abs(np.gradient(np.unwrap(np.nan_to_num(course)), velocity.time_s)) > _STRAIGHT_RADPS
+    turning = np.abs(np.gradient(np.unwrap(np.nan_to_num(course)), time)) > _STRAIGHT_RADPS
     course[turning] = np.nan
-    off = Series(velocity.time_s, course).nearest(moments.time_s, _NEAREST_S) - moments.heading_rad
+    off = Series(time, course).nearest(moments.time_s, _NEAREST_S) - moments.heading_rad
     off = off[np.isfinite(off)]
     if off.size < _FEWEST_STEPS:
         return

@@ -32,7 +32,7 @@ _BAD_ABOVE = 2.5  # times the limit
 _NO_TURN_RAD, _NOT_LATE_RAD = 3.0 * _DEG, 0.1 * _DEG
 _TURN_RAD, _SPREAD_A = 2.0 * math.pi, 0.7
 COURSE_SPEED_MPS = 1.5  # slower, the receiver's noise turns its course
-_AHEAD_KINDS = frozenset({"rover", "boat", "sub"})
+_AHEAD_KINDS = frozenset({"rover", "boat"})  # a sub is pushed sideways, too
 
 
 @dataclass(frozen=True, slots=True)

@@ -201,6 +201,7 @@ def test_a_slow_gyro_drift_is_not_blamed_on_the_compass() -> None:
         ("boat", 20.0, 0.5, set()),
         ("boat", 180.0, 3.0, set()),  # it drives backwards
         ("copter", 60.0, 8.0, set()),  # flies sideways as it likes
+        ("sub", 60.0, 1.6, set()),
     ],
 )
 def test_a_heading_off_the_course_of_a_vehicle_that_drives_ahead_is_found(
