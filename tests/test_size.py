@@ -18,7 +18,7 @@ LINES = {
     "package service": (5_410, 4_100),
     "package logs": (4_480, 3_600),
     "package cli": (4_060, 2_900),
-    "package": (66_140, 46_500),
+    "package": (66_150, 46_500),
     "tests": (43_870, 29_000),
     "scripts": (8_630, 4_400),
 }
