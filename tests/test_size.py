@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 LINES = {
     "package gap": (13_880, 10_500),
     "package simulation": (7_850, 5_800),
-    "package attitude calibration heading": (9_130, 5_400),
+    "package attitude calibration heading": (9_140, 5_400),
     "package vehicle messages enums.py": (7_690, 5_200),
     "package procedure": (6_330, 4_400),
     "package service": (5_410, 4_100),

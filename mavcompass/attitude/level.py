@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections import deque
 
 from mavcompass.gravity import is_gravity
 from mavcompass.units import STANDARD_GRAVITY_MPS2
@@ -67,7 +68,7 @@ _LEAST_FORCE2, _LEAST_RATE2, _FOURTH = 0.02**2, 0.001**2, 0.288
 # Gyros whose scales and axes are off by this much miss so much of a turn.
 _SCALE = 0.003
 # Compass readings are late: where it pointed in the half second before.
-_KEPT_EVERY_S, _KEPT = 0.015, 30
+_KEPT_EVERY_S, _KEPT = 0.015, 31
 # A measurement farther off than this, in squared sigmas, counts for as much less.
 _OUTLIER = 9.0
 
@@ -100,7 +101,7 @@ class Level:
         self._acc: Vector = (0.0, 0.0, -_G)
         self._gyro: Vector = (0.0, 0.0, 0.0)
         self._gone: tuple[tuple[Vector, Vector], ...] = ()
-        self._past: tuple[tuple[float, Vector, float], ...] = ()
+        self._past: deque[tuple[float, Vector, float]] = deque(maxlen=_KEPT)
         self._bias: complex = 0.0
         self._v = self._c = self._e = 0.0 + 0.0j
         self._pushed = self._slow = 0.0 + 0.0j
@@ -168,7 +169,7 @@ class Level:
             self._begin(time_s, acc_mps2, gyro_radps)
             return
         if not self._past or self._time_s - self._past[-1][0] > _KEPT_EVERY_S:
-            self._past = (*self._past[-_KEPT:], (self._time_s, self.down, self.turned_rad))
+            self._past.append((self._time_s, self.down, self.turned_rad))
         acc, gyro = _middle(self._acc, acc_mps2), _middle(self._gyro, gyro_radps)
         self._note_noise(acc_mps2, gyro_radps)
         self._time_s, self._acc, self._gyro = time_s, acc_mps2, gyro_radps

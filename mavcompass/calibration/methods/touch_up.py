@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from mavcompass.calibration.methods.four_positions import calibrate_still
-from mavcompass.calibration.motion.observed import motion_or_none
+from mavcompass.calibration.methods import four_positions
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.errors import PoorCalibration
@@ -27,5 +26,4 @@ def calibrate(recorded: Recorded) -> CalibrationResult:
             "Turn it through four positions.",
         )
     known = replace(recorded, prior=recorded.prior.of(recorded.in_force))
-    motion = None if recorded.windows is not None else motion_or_none(recorded)
-    return replace(calibrate_still(known, motion), method="touch-up")
+    return replace(four_positions.calibrate(known), method="touch-up")

@@ -172,10 +172,14 @@ def _start_by_two(
     if abs(change) < _LEAST_CHANGE:
         raise _too_little_turning(turned)
     first = complex(level[0, 0] - level[-1, 0], level[0, 1] - level[-1, 1]) / change
-    vertical = earth.ned_mgauss[2] if earth is not None else float(in_force.apply(mean).mean(axis=0)[2])
+    vertical = _vertical(mean, earth, in_force)
     horizontal = earth.horizontal_mgauss if earth is not None else abs(first)
     headings = turned - turned[0] - float(np.angle(first))
     return _start_at(headings, mean, tilts, np.array([horizontal, 0.0, vertical]), prior)
+
+
+def _vertical(mean: FloatArray, earth: EarthField | None, in_force: FieldCorrection) -> float:
+    return float(earth.ned_mgauss[2] if earth is not None else in_force.apply(mean).mean(axis=0)[2])
 
 
 def _too_little_turning(turned: FloatArray) -> PoorCalibration:
@@ -213,7 +217,7 @@ def _start(
         )
     mirrored = float(np.linalg.det(plane)) > 0.0
     horizontal = earth.horizontal_mgauss if earth is not None else amplitude
-    vertical = earth.ned_mgauss[2] if earth is not None else float(in_force.apply(mean).mean(axis=0)[2])
+    vertical = _vertical(mean, earth, in_force)
     if mirrored:
         plane = plane * np.array([[1.0], [-1.0]])
     left, values, right = np.linalg.svd(plane / horizontal)
