@@ -25,6 +25,9 @@ class MavType(IntEnum):
     VTOL_TAILSITTER_DUOROTOR = 19
     VTOL_TAILSITTER_QUADROTOR = 20
     VTOL_TILTROTOR = 21
+    VTOL_FIXEDROTOR = 22
+    VTOL_TAILSITTER = 23
+    VTOL_TILTWING = 24
     GIMBAL = 26
     ADSB = 27
     DODECAROTOR = 29
@@ -161,6 +164,16 @@ class MagCalStatus(IntEnum):
     BAD_RADIUS = 7
 
 
+class MavVtolState(IntEnum):
+    """Name how a VTOL flies (EXTENDED_SYS_STATE.vtol_state)."""
+
+    UNDEFINED = 0
+    TRANSITION_TO_FW = 1
+    TRANSITION_TO_MC = 2
+    MC = 3
+    FW = 4
+
+
 class RoverMode(IntEnum):
     """Name ArduPilot Rover's modes (HEARTBEAT.custom_mode)."""
 
@@ -198,6 +211,22 @@ class SubMode(IntEnum):
     SURFACE = 9
     POSHOLD = 16
     MANUAL = 19
+
+
+class PlaneMode(IntEnum):
+    """Name ArduPilot Plane's modes, those of a quadplane included."""
+
+    MANUAL = 0
+    FBWA = 5
+    AUTO = 10
+    RTL = 11
+    LOITER = 12
+    GUIDED = 15
+    QSTABILIZE = 17
+    QHOVER = 18
+    QLOITER = 19
+    QLAND = 20
+    QRTL = 21
 
 
 # Component ids of MAVLink.

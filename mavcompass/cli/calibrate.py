@@ -87,7 +87,7 @@ _HELP = {
     "--turn-by",
     type=click.Choice(("auto", "rc-override", "manual-control")),
     default="auto",
-    help="Turn by the pilot's own controls, in MANUAL, instead of by targets (auto).",
+    help="Turn by the pilot's own controls, in MANUAL (a quadplane: QLOITER), instead of by targets (auto).",
 )
 @click.option("--set-mode", is_flag=True, help="Allow changing the flight mode; it is put back afterwards.")
 @click.option(

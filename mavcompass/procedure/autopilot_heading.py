@@ -18,6 +18,7 @@ from mavcompass.calibration.result import CalibrationResult, surest
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkError, PoorCalibration, Refused
 from mavcompass.frames import FloatArray, wrap_pi
+from mavcompass.kinds import HOVERING
 from mavcompass.procedure.desk import Desk
 from mavcompass.procedure.dialect import Overrides
 from mavcompass.procedure.report import AutopilotHeading
@@ -236,7 +237,7 @@ class OwnHeading:
             set_aside=self.set_aside,
             not_loaded=self.not_loaded,
             flying=self.flying,
-            flies=self.desk.identity.kind == "copter",
+            flies=self.desk.identity.kind in HOVERING,
         )
 
     # --- what is known of it ------------------------------------------------------------------------
@@ -244,7 +245,7 @@ class OwnHeading:
     @property
     def flying(self) -> bool:
         """Tell whether the vehicle is in the air."""
-        return self.desk.identity.kind == "copter" and self.desk.state.armed
+        return self.desk.identity.kind in HOVERING and self.desk.state.armed
 
     @property
     def error_deg(self) -> float:

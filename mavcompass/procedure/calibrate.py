@@ -15,6 +15,7 @@ from mavcompass.calibration.observation import around, dwell_between
 from mavcompass.calibration.result import CalibrationResult, OwnFinding, summary
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkLost, PoorCalibration, Refused
+from mavcompass.kinds import HOVERING
 from mavcompass.procedure.autopilot_heading import OwnHeading
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.desk import Desk
@@ -213,7 +214,7 @@ class _Calibration:
         wanted |= dict.fromkeys((mav.EkfStatusReport, mav.SystemTime, mav.GpsRawInt), 2.0)
         if self.settings.by_autopilot:
             wanted |= dict.fromkeys((mav.MagCalProgress, mav.MagCalReport), 4.0)
-        if identity.kind == "copter":
+        if identity.kind in HOVERING:
             # What hovers sways and shakes: its tilt is told by the receiver's velocity and by as many
             # readings as there are, see `attitude.level`.
             wanted[mav.GpsRawInt] = 5.0

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from mavcompass import messages as mav
-from mavcompass.enums import CopterMode, MavCmd, MavResult, RoverMode, SubMode
+from mavcompass.enums import CopterMode, MavCmd, MavResult, PlaneMode, RoverMode, SubMode
 from mavcompass.kinds import Kind
 from mavcompass.procedure.script import Context, Script
 from mavcompass.procedure.vehicle_state import VehicleState
 
 _CUSTOM_MODE = 1.0
 PX4_OFFBOARD = 6 << 16
+_PX4_LAND = 4 << 16 | 6 << 24
 # A vehicle that says nothing for so long is not asked any more.
 _SILENCE_S = 3.0
 _CHANGE_WITHIN_S = 5.0
@@ -21,12 +22,21 @@ _GUIDED: dict[str, int] = {
     "copter": CopterMode.GUIDED,
     "sub": SubMode.GUIDED,
 }
-_MANUAL: dict[str, int] = {"rover": RoverMode.MANUAL, "boat": RoverMode.MANUAL, "sub": SubMode.MANUAL}
-_NAMES: dict[str, type[RoverMode] | type[CopterMode] | type[SubMode]] = {
+# In which the pilot's controls turn it; a quadplane stays at its place and height meanwhile.
+_BY_CONTROLS: dict[str, int] = {
+    "rover": RoverMode.MANUAL,
+    "boat": RoverMode.MANUAL,
+    "sub": SubMode.MANUAL,
+    "vtol": PlaneMode.QLOITER,
+}
+_LANDING: dict[str, int] = {"copter": CopterMode.LAND, "vtol": PlaneMode.QLAND}
+_NAMES: dict[str, type[RoverMode] | type[CopterMode] | type[SubMode] | type[PlaneMode]] = {
     "rover": RoverMode,
     "boat": RoverMode,
     "copter": CopterMode,
     "sub": SubMode,
+    "plane": PlaneMode,
+    "vtol": PlaneMode,
 }
 _PX4_NAMES = {
     1: "MANUAL",
@@ -46,7 +56,12 @@ def turning_mode(kind: Kind, autopilot: str, by_controls: bool = False) -> int |
     """
     if autopilot != "ardupilot":
         return None
-    return (_MANUAL if by_controls else _GUIDED).get(kind)
+    return (_BY_CONTROLS if by_controls else _GUIDED).get(kind)
+
+
+def landing_mode(kind: Kind, autopilot: str) -> int:
+    """Return the mode in which what hovers lands where it is."""
+    return _PX4_LAND if autopilot == "px4" else _LANDING[kind]
 
 
 def mode_name(kind: Kind, autopilot: str, mode: int) -> str:

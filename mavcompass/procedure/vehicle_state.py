@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from mavcompass import messages as mav
 from mavcompass.earth_field import EarthField, decimal_year, earth_field
-from mavcompass.enums import MavModeFlag
+from mavcompass.enums import MavCmd, MavModeFlag, MavVtolState
 from mavcompass.errors import NoVehicle, Refused, UsageError
 from mavcompass.kinds import AUTOPILOTS, VEHICLES, Kind
 from mavcompass.messages import telemetry
 from mavcompass.printable import printable
 from mavcompass.procedure.nameplate import read_nameplate
-from mavcompass.procedure.script import Context, Script
+from mavcompass.procedure.script import Context, Script, expect
 from mavcompass.two_clocks import shared_id
 
 _M_PER_DEG = 111_319.5
@@ -22,6 +22,8 @@ _M_PER_DEG = 111_319.5
 _NOT_DATED_US = 1_400_000_000_000_000
 # Autopilots beat once a second: within this time after the first the others beat, unless that is lost.
 OTHERS_WITHIN_S = 1.5
+# How a plane flies is told at once where it is known, and asked for twice: a message may be lost.
+_ASKED_TWICE, _TOLD_WITHIN_S = 2, 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +110,7 @@ def find_vehicle(
         ((identity, _),) = roll.found.values()
         context.system, context.component = identity.system, identity.component
         context.alone = system is None
-        return identity
+        return (yield from _as_it_flies(context, identity))
     lines = []
     for line, number in zip(roll.in_words(), sorted(roll.found), strict=True):
         identity = roll.found[number][0]
@@ -117,6 +119,19 @@ def find_vehicle(
         lines.append(f"{line}, {f'unique id {plate.uid}' if plate.uid else 'without a unique id'}")
     context.system = context.component = 0
     raise several(tuple(lines))
+
+
+def _as_it_flies(context: Context, identity: VehicleIdentity) -> Script[VehicleIdentity]:
+    """Ask a plane whether its rotors hold it now; its heartbeat tells neither that nor that they could."""
+    if identity.kind != "plane":
+        return identity
+    number = float(mav.message_id(mav.ExtendedSysState))
+    for _ in range(_ASKED_TWICE):
+        context.send(mav.CommandLong(context.system, context.component, MavCmd.REQUEST_MESSAGE, 0, number))
+        told = yield from expect(context, mav.ExtendedSysState, timeout_s=_TOLD_WITHIN_S)
+        if told is not None:
+            return replace(identity, kind="vtol") if told.vtol_state == MavVtolState.MC else identity
+    return identity
 
 
 def find_vehicles(

@@ -61,7 +61,7 @@ class SimulatedAutopilot:
 
         Parameters
         ----------
-        vehicle: rover, ackermann-rover, boat, copter, sub or px4-copter.
+        vehicle: rover, ackermann-rover, boat, copter, sub, quadplane, px4-copter or px4-vtol.
         seed: of everything random: iron, start heading, noise.
         effects: further physical effects on the first compass and IMU, ready or as text
             ("hard_iron:x=100,y=-50").

@@ -30,6 +30,7 @@ MANUAL, GUIDED, AUTO = 0, 15, 10
         ("rover", "ardupilot", False, 15), ("rover", "ardupilot", True, 0), ("copter", "ardupilot", False, 4),
         ("copter", "ardupilot", True, None), ("sub", "ardupilot", False, 4), ("sub", "ardupilot", True, 19),
         ("plane", "ardupilot", False, None), ("copter", "px4", False, None),
+        ("vtol", "ardupilot", False, None), ("vtol", "ardupilot", True, 19), ("vtol", "px4", True, None),
     ],
 )  # fmt: skip
 def test_the_mode_in_which_a_vehicle_takes_turns(
@@ -40,7 +41,7 @@ def test_the_mode_in_which_a_vehicle_takes_turns(
 
 def test_modes_have_names_for_a_person() -> None:
     assert mode_name("rover", "ardupilot", 15) == "GUIDED" and mode_name("copter", "ardupilot", 9) == "LAND"
-    assert mode_name("rover", "ardupilot", 99) == "mode 99" and mode_name("plane", "ardupilot", 5) == "mode 5"
+    assert mode_name("rover", "ardupilot", 99) == "mode 99" and mode_name("plane", "ardupilot", 5) == "FBWA"
     assert (
         mode_name("copter", "px4", PX4_OFFBOARD) == "OFFBOARD"
         and mode_name("copter", "px4", 4 << 16 | 3 << 24) == "AUTO"

@@ -12,7 +12,7 @@ from mavcompass.procedure.turning import strategies_for
 from mavcompass.procedure.vehicle_state import VehicleIdentity
 
 SCHEMA = "mavcompass.check/1"
-_GOES = {"copter": "fly", "plane": "fly", "sub": "dive", "boat": "sail"}
+_GOES = {"copter": "fly", "vtol": "fly", "plane": "fly", "sub": "dive", "boat": "sail"}
 
 
 def _is_calibration(item: CheckItem) -> bool:

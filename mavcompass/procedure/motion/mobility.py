@@ -19,7 +19,7 @@ from typing import Literal
 
 from mavcompass import messages as mav
 from mavcompass.errors import Refused
-from mavcompass.kinds import Kind
+from mavcompass.kinds import HOVERING
 from mavcompass.procedure.dialect import Overrides
 from mavcompass.procedure.modes import ModeKeeper
 from mavcompass.procedure.motion.readiness import Permissions, Readiness
@@ -30,7 +30,9 @@ from mavcompass.procedure.turning import (
     GyroAngle,
     TurnBy,
     TurnStrategy,
+    channels_moved,
     strategies_for,
+    turned_otherwise,
     vehicle_profile,
 )
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState, metres_from
@@ -88,7 +90,7 @@ class Mobility:
             self.identity, self.state, self._modes, permissions, controls, self.overrides
         )
         yield from self._readiness.make(context)
-        if self.identity.kind == "copter":
+        if self.identity.kind in HOVERING:
             yield from wait_until_calm(context, self.state, self.rest)
         self._watch(context, parameters)
         self.mover = VehicleMover(self.gyro, strategies)
@@ -102,7 +104,7 @@ class Mobility:
         if not strategies:
             raise Refused(
                 f"There is no known way in which this {autopilot} {kind} turns itself on the spot.",
-                "Disarm it and turn it by hand with --motion hand.",
+                turned_otherwise(kind, autopilot),
             )
         return strategies
 
@@ -112,7 +114,7 @@ class Mobility:
         profile = vehicle_profile(kind, autopilot, self._is_ackermann(parameters))
         if profile is not None:
             limits = limits.with_drift(max(limits.drift_m, profile.drift_m))
-        ours = _channels_moved(self.turn_by, kind)
+        ours = channels_moved(kind, self.turn_by)
         self._guard = MotionGuard(self.state, self.gyro, kind, limits, self._modes, ours)
         self._guard.begin()
         context.listeners.append(self._guard.hear)
@@ -133,16 +135,6 @@ class Mobility:
             yield from self.mover.release(context)
         if self._readiness is not None:
             yield from self._readiness.put_back(context, in_a_hurry)
-
-
-def _channels_moved(by: TurnBy, kind: Kind) -> frozenset[int]:
-    """List the RC channels that turning moves: they say nothing about the pilot."""
-    match by:
-        case "rc-override":
-            return frozenset({4} if kind == "sub" else {1})
-        case "manual-control":
-            return frozenset({1, 2, 3, 4})
-    return frozenset()
 
 
 # --- a copter that holds its place ----------------------------------------------------------------

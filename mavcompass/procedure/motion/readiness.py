@@ -11,13 +11,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from mavcompass.enums import CopterMode, MavCmd, MavResult
+from mavcompass.enums import MavCmd, MavResult
 from mavcompass.errors import NoReply, Refused
+from mavcompass.kinds import HOVERING
 from mavcompass.messages import Incoming, Statustext
 from mavcompass.printable import printable
 from mavcompass.procedure.commands import command
 from mavcompass.procedure.dialect import Overrides
-from mavcompass.procedure.modes import ModeKeeper, mode_name, turning_mode
+from mavcompass.procedure.modes import ModeKeeper, landing_mode, mode_name, turning_mode
 from mavcompass.procedure.script import Ask, Context, Script, ask, pause
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState
 
@@ -29,7 +30,7 @@ _PLACE_WITHIN_S = 3.0
 _INSISTS_S = 12.0
 # After a stop nothing is waited for: the autopilot lands by itself once told to.
 _HURRIED_S = 3.0
-_PX4_TAKEOFF, _PX4_HOLD, _PX4_LAND = (4 << 16 | sub << 24 for sub in (2, 3, 6))
+_PX4_TAKEOFF, _PX4_HOLD = (4 << 16 | sub << 24 for sub in (2, 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +72,7 @@ class Readiness:
         yield from self._into_mode(context)
         if not self.state.armed:
             yield from self._arm(context)
-        if self.permissions.takeoff_m > 0.0 and self.identity.kind == "copter":
+        if self.permissions.takeoff_m > 0.0 and self.identity.kind in HOVERING:
             end_s = context.now + _PLACE_WITHIN_S
             while self.state.place is None and context.now < end_s:
                 yield end_s  # it may be in the air already
@@ -224,7 +225,7 @@ class Readiness:
 
     def _land(self, context: Context, patience_s: float) -> Script[None]:
         """Land where it is; whatever ends the wait, the autopilot goes on landing."""
-        mode = _PX4_LAND if self.identity.autopilot == "px4" else CopterMode.LAND
+        mode = landing_mode(self.identity.kind, self.identity.autopilot)
         context.show("end", "Landing.")
         if not (yield from self.modes.go_to(context, mode)):
             context.show("end", "The copter did not take the command to land: land it by hand.")
@@ -237,7 +238,7 @@ class Readiness:
             self.modes.before.clear()
 
     def _flies(self) -> bool:
-        return self.identity.kind == "copter" and self.state.armed
+        return self.identity.kind in HOVERING and self.state.armed
 
     def _height_m(self) -> float:
         return 0.0 if self.state.place is None else self.state.place.relative_alt * 1e-3

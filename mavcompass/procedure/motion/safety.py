@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from mavcompass import messages as mav
 from mavcompass.enums import EkfFlag, MavState
 from mavcompass.errors import Refused
-from mavcompass.kinds import Kind
+from mavcompass.kinds import HOVERING, Kind
 from mavcompass.procedure.modes import ModeKeeper, mode_name
 from mavcompass.procedure.turning import GyroAngle
 from mavcompass.procedure.vehicle_state import VehicleState, metres_from
@@ -20,7 +20,13 @@ from mavcompass.procedure.vehicle_state import VehicleState, metres_from
 # Events come at least this often; a longer step is our own computer's, which was busy or asleep.
 _LONGEST_STEP_S = 0.2
 # Sticks that rest in the middle, by kind; throttles need not.
-_CENTRED: dict[Kind, tuple[int, ...]] = {"rover": (1,), "boat": (1,), "copter": (1, 2, 4), "sub": (4,)}
+_CENTRED: dict[Kind, tuple[int, ...]] = {
+    "rover": (1,),
+    "boat": (1,),
+    "copter": (1, 2, 4),
+    "vtol": (1, 2, 4),
+    "sub": (4,),
+}
 _CENTRE_US, _HELD_US = 1500, 150
 _CIRCLING = (
     "A copter whose compass is far off circles instead of holding its place: calibrate it on the ground, "
@@ -168,7 +174,7 @@ class MotionGuard:
             return None
         if ekf.flags & EkfFlag.UNINITIALIZED or not ekf.flags & EkfFlag.ATTITUDE:
             return "The vehicle's attitude estimate is not healthy."
-        if self.kind == "copter" and ekf.flags & EkfFlag.CONST_POS_MODE:
+        if self.kind in HOVERING and ekf.flags & EkfFlag.CONST_POS_MODE:
             return "The vehicle has lost its position estimate."
         return None
 
@@ -188,7 +194,7 @@ class MotionGuard:
 
     def _too_low(self) -> str | None:
         place = self.state.place
-        if self.kind == "copter" and place is not None:
+        if self.kind in HOVERING and place is not None:
             height_m = place.relative_alt * 1e-3
             if height_m < self.limits.height_m:
                 return f"The copter is {height_m:.1f} m above its start, too low to be turned."
@@ -204,7 +210,7 @@ class MotionGuard:
         drift_m = math.hypot(*metres_from(start, place))
         if drift_m > self.limits.drift_m:
             reason = f"The vehicle moved {drift_m:.1f} m away from where it started."
-            return f"{reason} {_CIRCLING}" if self.kind == "copter" else reason
+            return f"{reason} {_CIRCLING}" if self.kind in HOVERING else reason
         return self._too_low()
 
 

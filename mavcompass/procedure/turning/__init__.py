@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from mavcompass.procedure.turning.gyro_angle import GyroAngle
-from mavcompass.procedure.turning.pilots_controls import TurnBy
-from mavcompass.procedure.turning.profiles import strategies_for, vehicle_profile
+from mavcompass.procedure.turning.pilots_controls import TurnBy, channels_moved
+from mavcompass.procedure.turning.profiles import strategies_for, turned_otherwise, vehicle_profile
 from mavcompass.procedure.turning.steered import SteeredTurn, TurnStrategy
 
 __all__ = [
@@ -12,6 +12,8 @@ __all__ = [
     "SteeredTurn",
     "TurnBy",
     "TurnStrategy",
+    "channels_moved",
     "strategies_for",
+    "turned_otherwise",
     "vehicle_profile",
 ]

@@ -20,7 +20,7 @@ _FULL_STICK_RADPS = math.radians(90.0)
 
 @dataclass(frozen=True, slots=True)
 class SteeringOverride(Steer):
-    """Move the steering channel by RC_CHANNELS_OVERRIDE, in MANUAL; only where a person asked for it.
+    """Move the steering channel by RC_CHANNELS_OVERRIDE; only where a person asked for it.
 
     ArduPilot listens to the ground station whose system id is SYSID_MYGCS, and no other.
     """
@@ -49,11 +49,11 @@ class SteeringOverride(Steer):
 
 @dataclass(frozen=True, slots=True)
 class ManualAxis(Steer):
-    """Move the steering by MANUAL_CONTROL, in MANUAL; what is no longer sent is forgotten.
+    """Move the steering by MANUAL_CONTROL; what is no longer sent is forgotten.
 
     Attributes:
-        axis: "y" steers rovers and boats, "r" yaws subs.
-        middle: of the throttle axis z: 0 for rovers, 500 for subs, whose thrust goes both ways.
+        axis: "y" steers rovers and boats, "r" yaws subs and quadplanes.
+        middle: of the throttle axis z: 0 for rovers, 500 for those that it moves up and down.
     """
 
     axis: str = "y"
@@ -81,6 +81,8 @@ _STEERS: dict[tuple[str, TurnBy], Steer] = {
     ("rover", "manual-control"): ManualAxis(),
     ("boat", "manual-control"): ManualAxis(),
     ("sub", "manual-control"): ManualAxis(axis="r", middle=500),
+    ("vtol", "rc-override"): SteeringOverride(channel=4),
+    ("vtol", "manual-control"): ManualAxis(axis="r", middle=500),
 }
 
 
@@ -88,3 +90,13 @@ def turn_by_controls(kind: str, by: TurnBy) -> SteeredTurn | None:
     """Return the turn by the pilot's controls; None for a kind of vehicle that they do not turn."""
     steer = _STEERS.get((kind, by))
     return None if steer is None else SteeredTurn(steer, math.radians(40.0), coast_s=0.5)
+
+
+def channels_moved(kind: str, by: TurnBy) -> frozenset[int]:
+    """List the RC channels that a turn moves: they say nothing about the pilot."""
+    match _STEERS.get((kind, by)):
+        case SteeringOverride(channel=channel):
+            return frozenset({channel})
+        case ManualAxis():
+            return frozenset({1, 2, 3, 4})
+    return frozenset()

@@ -108,6 +108,14 @@ def strategies_for(
     return () if profile is None else tuple(_strategy(way, modes) for way in profile.ways)
 
 
+def turned_otherwise(kind: str, autopilot: str) -> str:
+    """Say what to do where a vehicle does not turn itself by targets."""
+    if strategies_for(kind, autopilot, by="manual-control"):
+        return "Allow turning it by the pilot's controls: --turn-by manual-control."
+    hover = "If it can hover, let it (ArduPilot: QLOITER). Else d" if kind == "plane" else "D"
+    return f"{hover}isarm it and turn it by hand with --motion hand."
+
+
 def _strategy(way: TurnWay, modes: ModeKeeper | None) -> TurnStrategy:
     if way.name not in known_ways():
         raise MavCompassError(

@@ -1,4 +1,4 @@
-"""ArduPilot put together: Rover, Copter and Sub as firmware 4.6.3 was seen to behave."""
+"""ArduPilot put together: Rover, Copter, Sub and Plane with rotors as firmware 4.6.3 was seen to behave."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _PARAMETER_FILES = {
     "copter": ("ardupilot.param", "copter.param"),
     "sub": ("ardupilot.param", "sub.param"),
 }
-_BATTERY_FAILSAFE_MODES = {"rover": "HOLD", "copter": "LAND", "sub": "SURFACE"}
+_BATTERY_FAILSAFE_MODES = {"rover": "HOLD", "copter": "LAND", "sub": "SURFACE", "plane": "LAND"}
 _SET_MODE_ID = 11
 # Why it will not arm, and how long it has run.
 _TOLD_EVERY_S = 30.0
@@ -58,7 +58,7 @@ class ArduPilot(Firmware):
         self.compasses = compasses = CompassBank(board, store)
         self.calibration = calibration = MagnetometerCalibration()
         self.sources = sources = Sources(board, store)
-        self.radio = radio = Radio(throttle_low=board.profile.chassis == "copter")
+        self.radio = radio = Radio(board.profile.firmware == "copter", board.profile.hovers)
         self.ground, self.hover = ground, hover = GroundGuidance(board), HoverGuidance(board)
         rules = mode_rules(board.profile)
         self.status = status = Status(rules.name(board.profile.initial_mode) or "")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mavcompass.enums import CopterMode, MavModeFlag, MavSeverity, RoverMode, SubMode
+from mavcompass.enums import CopterMode, MavModeFlag, MavSeverity, PlaneMode, RoverMode, SubMode
 from mavcompass.simulation.autopilot.board import Board, Status
 from mavcompass.simulation.autopilot.guidance import GroundGuidance, HoverGuidance
 from mavcompass.simulation.physics.profiles import VehicleProfile
@@ -13,6 +13,8 @@ _NAMES: dict[str, dict[str, int]] = {
     "rover": {m.name: int(m) for m in RoverMode},
     "copter": {m.name: int(m) for m in CopterMode},
     "sub": {m.name: int(m) for m in SubMode},
+    # Those in which its rotors hold it; it is not simulated on its wings.
+    "plane": {m.name.removeprefix("Q"): int(m) for m in PlaneMode if m.name.startswith("Q")},
 }
 
 
@@ -73,6 +75,13 @@ _RULES = {
         autonomous=frozenset({"AUTO", "GUIDED", "SURFACE"}),
         need_position=frozenset({"AUTO", "GUIDED", "POSHOLD"}),
         cannot_arm=frozenset({"SURFACE"}),
+    ),
+    "plane": ModeRules(
+        _NAMES["plane"],
+        by_hand=frozenset({"STABILIZE", "HOVER", "LOITER"}),
+        autonomous=frozenset({"RTL", "LAND"}),
+        need_position=frozenset({"RTL", "LOITER"}),
+        cannot_arm=frozenset({"RTL", "LAND"}),
     ),
 }
 

@@ -53,9 +53,13 @@ def stick(pwm: int) -> float:
 
 
 class Radio:
-    """Hold the pulse widths of eight channels: roll or steering, pitch, throttle, yaw, switches."""
+    """Hold the pulse widths of eight channels: roll or steering, pitch, throttle, yaw, switches.
 
-    def __init__(self, throttle_low: bool) -> None:
+    `throttle_low`: the stick rests at the bottom. `hovers`: MANUAL_CONTROL's thrust goes from 0 to 1000.
+    """
+
+    def __init__(self, throttle_low: bool, hovers: bool) -> None:
+        self._hovers = hovers
         low, middle, high = _STICK_LOW, _STICK_CENTRE, _SWITCH_HIGH
         throttle = low if throttle_low else middle
         self._rest = (middle, middle, throttle, middle, high, low, low, high)
@@ -84,7 +88,8 @@ class Radio:
         """Take a ground station's values; they are forgotten after three seconds."""
         until_s = now_s + OVERRIDE_TIMEOUT_S
         if isinstance(message, ManualControl):
-            axes = {1: message.y, 2: -message.x, 3: message.z, 4: message.r}
+            thrust = 2 * message.z - _FULL_AXIS if self._hovers else message.z
+            axes = {1: message.y, 2: -message.x, 3: thrust, 4: message.r}
             for number, value in axes.items():
                 if abs(value) < _UNUSED_AXIS:
                     deflection = max(-_FULL_AXIS, min(value, _FULL_AXIS))

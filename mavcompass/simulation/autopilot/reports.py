@@ -157,7 +157,8 @@ class Reports(ABC):
 
     def extended_state(self) -> m.ExtendedSysState:
         """Report whether it flies."""
-        return m.ExtendedSysState(0, _LANDED_ON_GROUND if self.board.body.landed else _LANDED_IN_AIR)
+        landed = _LANDED_ON_GROUND if self.board.body.landed else _LANDED_IN_AIR
+        return m.ExtendedSysState(self.board.profile.vtol_state, landed)
 
     def servos(self, time_us: int) -> m.ServoOutputRaw:
         """Report the motors' outputs: those of four rotors, or of a left and a right wheel."""

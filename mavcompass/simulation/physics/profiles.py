@@ -6,11 +6,12 @@ import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from mavcompass.enums import CopterMode, MavType, RoverMode, SubMode
+from mavcompass.enums import CopterMode, MavType, MavVtolState, PlaneMode, RoverMode, SubMode
 from mavcompass.errors import UsageError
+from mavcompass.kinds import VEHICLES
 
 Chassis = Literal["skid", "ackermann", "boat", "copter", "sub"]
-Firmware = Literal["rover", "copter", "sub", "px4"]
+Firmware = Literal["rover", "copter", "sub", "plane", "px4"]
 
 _DEG = math.pi / 180.0
 
@@ -90,6 +91,11 @@ class VehicleProfile:
         return self.hover_m != 0.0
 
     @property
+    def vtol_state(self) -> MavVtolState:
+        """Tell what EXTENDED_SYS_STATE says of it: what has wings is simulated on its rotors alone."""
+        return MavVtolState.MC if VEHICLES[self.mav_type] == "plane" else MavVtolState.UNDEFINED
+
+    @property
     def loop_us(self) -> int:
         """Return the period of the main loop."""
         return 1_000_000 // self.loop_hz
@@ -130,6 +136,24 @@ _COPTER = VehicleProfile(
     vibration_mps2=0.5,
     slope_rad=0.5 * _DEG,
     yaw_unrest_radps=0.15 * _DEG,
+)
+
+_PX4_COPTER = replace(
+    _COPTER,
+    name="px4-copter",
+    firmware="px4",
+    place=ZURICH,
+    guided_mode=6 << 16,
+    initial_mode=3 << 16,
+    loop_hz=250,
+    rate_share=1.0,
+    yaw_rate_max_radps=200.0 * _DEG,
+    yaw_acceleration_radps2=90.0 * _DEG,
+    yaw_lag_s=0.12,
+    yaw_gain_per_s=2.2,
+    currents_a=(0.6, 18.0, 1.2),
+    jitter_period_s=1.4,
+    vibration_mps2=0.6,
 )
 
 PROFILES: dict[str, VehicleProfile] = {
@@ -188,21 +212,14 @@ PROFILES: dict[str, VehicleProfile] = {
         ),
         replace(
             _COPTER,
-            name="px4-copter",
-            firmware="px4",
-            place=ZURICH,
-            guided_mode=6 << 16,
-            initial_mode=3 << 16,
-            loop_hz=250,
-            rate_share=1.0,
-            yaw_rate_max_radps=200.0 * _DEG,
-            yaw_acceleration_radps2=90.0 * _DEG,
-            yaw_lag_s=0.12,
-            yaw_gain_per_s=2.2,
-            currents_a=(0.6, 18.0, 1.2),
-            jitter_period_s=1.4,
-            vibration_mps2=0.6,
+            name="quadplane",
+            firmware="plane",
+            mav_type=MavType.FIXED_WING,
+            guided_mode=PlaneMode.QLOITER,
+            initial_mode=PlaneMode.QSTABILIZE,
         ),
+        _PX4_COPTER,
+        replace(_PX4_COPTER, name="px4-vtol", mav_type=MavType.VTOL_FIXEDROTOR),
     )
 }
 

@@ -51,7 +51,7 @@ class Px4(Firmware):
         self.parameters = served = ParameterServer(board, store, PX4_MANNERS)
         self.status = status = Status("POSCTL")
         self.compasses = compasses = Px4Compasses(board, store, status)
-        self.radio = radio = Radio(throttle_low=False)
+        self.radio = radio = Radio(throttle_low=False, hovers=True)
         hover, setpoints = HoverGuidance(board), Setpoints(board)
         self.modes = modes = Modes(board, status, hover, setpoints)
         self.arming = arming = Arming(board, status, store, compasses)

@@ -52,6 +52,7 @@ _TYPES = {
     "copter": MavType.QUADROTOR,
     "sub": MavType.SUBMARINE,
     "plane": MavType.FIXED_WING,
+    "vtol": MavType.VTOL_FIXEDROTOR,
 }
 _IMU_KINDS: dict[int, type[ScaledImu]] = {1: ScaledImu, 2: ScaledImu2, 3: ScaledImu3}
 # A Track does not tell types; these are PX4's whole numbers among the parameters of compasses.

@@ -17,7 +17,7 @@ from typing import ClassVar
 
 from mavcompass.errors import UsageError
 
-VEHICLES = ("rover", "ackermann-rover", "boat", "copter", "sub", "px4-copter")
+VEHICLES = ("rover", "ackermann-rover", "boat", "copter", "sub", "quadplane", "px4-copter", "px4-vtol")
 RECORDING_SUFFIXES = (".tlog", ".bin", ".log", ".ulg", ".csv", ".mcap", ".db3")
 DEFAULT_BAUD = 115_200
 # What a person may write, MAVSDK's spellings and old ones included, by what it means here.

@@ -69,6 +69,8 @@ def test_a_stick_goes_to_its_thousandths(rate_deg_s: float, share: int) -> None:
         ("rover", "manual-control", ManualAxis("y", 0)),
         ("boat", "manual-control", ManualAxis("y", 0)),
         ("sub", "manual-control", ManualAxis("r", 500)),
+        ("vtol", "rc-override", SteeringOverride(4)),
+        ("vtol", "manual-control", ManualAxis("r", 500)),
     ],
 )
 def test_the_pilots_controls_of_each_vehicle(kind: str, by: str, steer: Steer) -> None:
