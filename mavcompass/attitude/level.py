@@ -42,7 +42,7 @@ _BOUND_MPS = {"copter": 1.0, "vtol": 1.0, "unknown": 0.5}
 _DRIVEN_MPS, _BOUND_EVERY_S = 3.0, 1.0
 _SPEED_KNOWN_S = 2.0
 # Of the first reading taken for gravity, and of a gyro's bias as autopilots leave it.
-_TILT_SIGMA_RAD, _BIAS_SIGMA_RADPS = math.radians(8.0), math.radians(0.2)
+_TILT_SIGMA_RAD, BIAS_SIGMA_RADPS = math.radians(8.0), math.radians(0.2)
 # Of roll and pitch where nothing tells them: a component of a unit vector drawn by chance.
 UNKNOWN_RAD = 1.0 / math.sqrt(3.0)
 # What (L1) leaves out: sensors that are not quite square to each other.
@@ -109,7 +109,7 @@ class Level:
         self._calm2 = 1.0
         self._g_mps2 = _G
         self._misfit = 1.0
-        self._p = _uncorrelated(_BIAS_SIGMA_RADPS**2)
+        self._p = _uncorrelated(BIAS_SIGMA_RADPS**2)
 
     @property
     def time_s(self) -> float:
@@ -146,7 +146,7 @@ class Level:
     @property
     def is_still(self) -> bool:
         """Tell whether it hardly turns; what seems a gyro's bias, and is none, is a hull that swings."""
-        return abs(self.rate_radps) < _STILL_RADPS and abs(self.bias_radps) < 1.5 * _BIAS_SIGMA_RADPS
+        return abs(self.rate_radps) < _STILL_RADPS and abs(self.bias_radps) < 1.5 * BIAS_SIGMA_RADPS
 
     @property
     def roll_rad(self) -> float:

@@ -45,6 +45,18 @@ def test_down_is_told_by_what_there_is(track: Track, roll_deg: float, pitch_deg:
     assert math.hypot(x, y, z) == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize(
+    ("bank_deg", "lasting_deg"), [((30.0, 30.0), 0.5), ((30.0, -30.0), 0.0), ((0.0, 0.0), 0.0)]
+)
+def test_what_lasts_is_the_mean_lean_s_part_of_a_vertical_bias(
+    bank_deg: tuple[float, float], lasting_deg: float
+) -> None:
+    """A bias of 0.2 degrees a second for five seconds, by the sine of 30 degrees to one side all along."""
+    roll = np.radians(np.repeat(bank_deg, 25))
+    down = Series.of(TIME, np.stack([0.0 * roll, np.sin(roll), np.cos(roll)], axis=1))
+    assert recorded.Levels(down, down).lasting_rad / DEG == pytest.approx(lasting_deg, abs=1e-9)
+
+
 def errors_deg(track: Track, true: FloatArray, own_rad: float = 0.001) -> tuple[float, float]:
     """Return the error of roll and pitch, rms, and the same in sigmas."""
     assert track.gyro_radps is not None

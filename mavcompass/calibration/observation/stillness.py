@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.attitude import moving_average
+from mavcompass.attitude import levels, moving_average
 from mavcompass.calibration.observation.detector import (
     LONGEST_SWING_RAD,
     RATE_SMOOTHING_S,
@@ -228,10 +228,10 @@ def assemble(
 
 
 def accelerometer_of(track: Track, dwells: Sequence[Dwell]) -> float:
-    """Return what the accelerometer adds to roll and pitch all along, 1 sigma of each, radians.
+    """Return what roll and pitch are off by all along, 1 sigma of each, radians.
 
-    Only what stands, or hovers on the spot, leans as it does at rest; what travels takes its level from an
-    estimator that a biased accelerometer does not move.
+    Only what stands, or hovers on the spot, leans as it does at rest, for the accelerometer to be judged by;
+    what travels takes its level from an estimator that a biased accelerometer does not move, but a gyro.
     """
     velocity = track.receiver_velocity_mps or track.gps_velocity_mps
     if velocity is not None and len(velocity):
@@ -239,6 +239,6 @@ def accelerometer_of(track: Track, dwells: Sequence[Dwell]) -> float:
         speed = np.linalg.norm(velocity.at(middles)[:, :2], axis=1)
         dwells = [d for d, mps in zip(dwells, speed, strict=True) if not mps > _STANDS_MPS]
     if len(dwells) < 3 or not all(math.isfinite(d.turned_rad) for d in dwells):
-        return TILT_BIAS_SIGMA_RAD
+        return math.hypot(TILT_BIAS_SIGMA_RAD, levels(track).lasting_rad)
     columns = np.array([(d.turned_rad, d.roll_rad, d.pitch_rad, d.tilt_sigma_rad) for d in dwells])
     return accelerometer_sigma_rad(*columns.T)

@@ -168,16 +168,16 @@ def wait_until_calm(context: Context, state: VehicleState, rest: Rest) -> Script
             return
         if context.now - level_since_s >= _CALM_S and wander.keeps_to_its_place():
             context.show(
-                "ready", f"The copter wanders by {wander.reach_m():.1f} m; it holds its place so well."
+                "ready", f"The vehicle wanders by {wander.reach_m():.1f} m; it holds its place so well."
             )
             return
         if context.now - began_s > _PATIENCE_S:
             raise Refused(
-                f"The copter does not hold its place within {_PATIENCE_S:.0f} s.",
+                f"The vehicle does not hold its place within {_PATIENCE_S:.0f} s.",
                 "Land it and calibrate it on the ground, turned by hand: --motion hand.",
             )
         if not said and context.now - began_s > _CALM_S + 1.0:
-            context.show("ready", "Waiting until the copter holds its place.")
+            context.show("ready", "Waiting until the vehicle holds its place.")
             said = True
         yield from pause(context, _POLL_S)
 

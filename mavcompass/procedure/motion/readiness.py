@@ -218,7 +218,7 @@ class Readiness:
                 yield from pause(context, 0.1)
         if self._height_m() < 0.93 * height_m:
             raise Refused(
-                f"The copter did not take off.{self._last_words()}",
+                f"The vehicle did not take off.{self._last_words()}",
                 "Take off by hand and run again.",
             )
         yield from pause(context, 2.0)  # to come to rest
@@ -228,7 +228,7 @@ class Readiness:
         mode = landing_mode(self.identity.kind, self.identity.autopilot)
         context.show("end", "Landing.")
         if not (yield from self.modes.go_to(context, mode)):
-            context.show("end", "The copter did not take the command to land: land it by hand.")
+            context.show("end", "The vehicle did not take the command to land: land it by hand.")
             self.modes.before.clear()
             return
         end_s = context.now + patience_s

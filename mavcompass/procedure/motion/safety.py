@@ -197,7 +197,7 @@ class MotionGuard:
         if self.kind in HOVERING and place is not None:
             height_m = place.relative_alt * 1e-3
             if height_m < self.limits.height_m:
-                return f"The copter is {height_m:.1f} m above its start, too low to be turned."
+                return f"The vehicle is {height_m:.1f} m above its start, too low to be turned."
         return None
 
     def _strayed(self) -> str | None:

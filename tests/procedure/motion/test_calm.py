@@ -64,7 +64,7 @@ def test_one_that_holds_its_place_is_turned_soon() -> None:
 def test_one_that_swings_is_waited_for(which: str) -> None:
     machine, shown = waiting(**{which: 12.0})
     assert machine.result == pytest.approx(13.5, abs=0.3)
-    assert shown == ["Waiting until the copter holds its place."]
+    assert shown == ["Waiting until the vehicle holds its place."]
 
 
 def test_one_that_doubts_its_compass_is_waited_for_a_while() -> None:
@@ -76,7 +76,7 @@ def test_one_that_doubts_its_compass_is_waited_for_a_while() -> None:
 def test_one_that_wanders_about_its_place_holds_it_as_well_as_it_can(lat_deg: float | None) -> None:
     machine, shown = waiting(wanders_m=1.2, lat_deg=lat_deg)
     assert machine.result == pytest.approx(12.0, abs=0.5)
-    assert shown[-1] == "The copter wanders by 1.2 m; it holds its place so well."
+    assert shown[-1] == "The vehicle wanders by 1.2 m; it holds its place so well."
 
 
 @pytest.mark.parametrize(("wanders_m", "grows"), [(1.2, 1.6), (3.0, 1.0)])
@@ -92,9 +92,9 @@ def test_one_that_never_holds_its_place_is_refused_with_the_way_out() -> None:
 
 def test_what_is_said_of_the_wait_is_said_once_and_after_two_and_a_half_seconds() -> None:
     assert waiting(doubts_until_s=0.9)[1] == []
-    assert waiting(doubts_until_s=1.3)[1] == ["Waiting until the copter holds its place."]
+    assert waiting(doubts_until_s=1.3)[1] == ["Waiting until the vehicle holds its place."]
     machine, shown = waiting(swings_until_s=100.0)
-    assert shown == ["Waiting until the copter holds its place."]
+    assert shown == ["Waiting until the vehicle holds its place."]
     assert isinstance(machine.error, Refused)
-    assert machine.error.what == "The copter does not hold its place within 40 s."
+    assert machine.error.what == "The vehicle does not hold its place within 40 s."
     assert machine.context.now == pytest.approx(40.1, abs=0.15)

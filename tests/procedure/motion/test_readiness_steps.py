@@ -146,7 +146,7 @@ def test_a_climb_has_forty_seconds(climbs_mps: float, is_up: bool) -> None:
     if is_up:
         assert error is None
         return
-    assert isinstance(error, Refused) and error.what == "The copter did not take off."
+    assert isinstance(error, Refused) and error.what == "The vehicle did not take off."
     assert vehicle.now_s == pytest.approx(40.1, abs=0.3)
     # What may be in the air all the same is told to land.
     vehicle.is_put_back()
@@ -159,7 +159,7 @@ def test_a_take_off_that_is_refused_is_not_waited_for_and_says_why() -> None:
     vehicle.state.hear(mav.Incoming(0.0, 1, 1, mav.Statustext(text="PreArm: too windy")))
     error = vehicle.makes_ready().error
     assert isinstance(error, Refused)
-    assert error.what == "The copter did not take off. It said: PreArm: too windy."
+    assert error.what == "The vehicle did not take off. It said: PreArm: too windy."
     assert vehicle.now_s < 0.5
 
 
@@ -239,7 +239,7 @@ def test_a_landing_that_is_not_taken_is_a_pilots_to_do() -> None:
     vehicle.makes_ready()
     vehicle.takes_modes, vehicle.result = False, MavResult.DENIED
     assert vehicle.is_put_back() < 7.0
-    assert vehicle.shown[-1] == "The copter did not take the command to land: land it by hand."
+    assert vehicle.shown[-1] == "The vehicle did not take the command to land: land it by hand."
 
 
 def test_what_a_pilot_took_over_is_left_to_the_pilot() -> None:
