@@ -97,7 +97,7 @@ def _weighed(
     why = _contradiction(found, evidence)
     if why and result.true_heading is not None:
         why += " Or the heading that was given is not the vehicle's."
-    return result.widened(sigma_deg, "disagreement").within(limits, why)
+    return replace(result, north=evidence.north).widened(sigma_deg, "disagreement").within(limits, why)
 
 
 def _contradiction(found: FaultIsolation, evidence: Evidence) -> str:

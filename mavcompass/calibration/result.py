@@ -13,6 +13,7 @@ from mavcompass.calibration.model import ACCELEROMETER, NO_HEADING_RAD, HeadingE
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.frames import FloatArray
 from mavcompass.heading.deviation import DeviationCard, deviation_card, heading_change_rad
+from mavcompass.heading.true_north import TrueNorth
 
 # A difference of so many sigmas is no chance.
 BEYOND_CHANCE = 3.0
@@ -143,6 +144,7 @@ class CalibrationResult:
         positions: the still positions used.
         loads: motor loads that stand for those recorded; headings old and new are compared at these.
         evidence: what else tells the heading, and how far that is from this one.
+        north: what course and second antenna show of true headings; None where they were not looked at.
         mounting: what is known of it.
         already_right: True where the values in force are no worse beyond the new ones' sigma.
         true_heading: that was given; at it every such calibration agrees, whatever is true.
@@ -171,6 +173,7 @@ class CalibrationResult:
     positions: tuple[Position, ...] = ()
     loads: tuple[float, ...] = (0.0,)
     evidence: tuple[Witness, ...] = ()
+    north: TrueNorth | None = None
     mounting: Mounting = field(default_factory=Mounting)
     already_right: bool = False
     true_heading: TrueHeading | None = None
@@ -280,6 +283,7 @@ class CalibrationResult:
             },
             "deviation_card": self._card_json(),
             "evidence": [witness.to_json() for witness in self.evidence],
+            "true_north": None if self.north is None else self.north.to_json(),
             "mounting": self.mounting.to_json(),
             "positions": [
                 {

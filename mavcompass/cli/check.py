@@ -23,6 +23,7 @@ from mavcompass.cli.terminal.colour import mark
 from mavcompass.installation.invocation import program
 
 if TYPE_CHECKING:
+    from mavcompass.heading.true_north import TrueNorth
     from mavcompass.procedure.check import CheckReport, CheckSettings
     from mavcompass.vehicle.link import Link
 
@@ -76,7 +77,8 @@ def command(
     address = parse_address(source)
     if turn == "auto" and isinstance(address, Recording):
         turn = "none"  # it has turned when it did, and obeys nobody
-    settings = CheckSettings(turn=turn, system=system, year=this_year())  # type: ignore[arg-type]
+    north = _recorded_north(source) if isinstance(address, Recording) else {}
+    settings = CheckSettings(turn=turn, system=system, year=this_year(), north=north)  # type: ignore[arg-type]
     with open_source(address, effects) as link:
         with showing(quiet=not sys.stderr.isatty()) as show:
             report = _check(link, source, settings, show)
@@ -86,6 +88,20 @@ def command(
             return _calibrate(link, source, report, system, output)
     passed = report.verdict == "pass" or (report.verdict == "warn" and not strict)
     return 0 if passed else NOT_FIT
+
+
+def _recorded_north(source: str) -> dict[int, TrueNorth]:
+    """Return what all of a recording shows of each compass's true heading."""
+    from mavcompass.api import read_track
+    from mavcompass.errors import BadRecording
+    from mavcompass.heading.stream import heading_of_track
+
+    try:
+        track = read_track(source)
+        found = {i: heading_of_track(track, None, i).north for i in track.compasses}
+    except BadRecording:
+        return {}  # what can be checked of it is
+    return {i: north for i, north in found.items() if north is not None}
 
 
 def _check(link: Link, source: str, settings: CheckSettings, show: Any) -> CheckReport:

@@ -20,6 +20,7 @@ from mavcompass.installation.parts import require
 
 if TYPE_CHECKING:
     from mavcompass.heading.stream import HeadingResult
+    from mavcompass.heading.true_north import TrueNorth
     from mavcompass.track import Track
     from mavcompass.vehicle.heading_stream import LiveHeading
     from mavcompass.vehicle.transport import Address
@@ -33,13 +34,14 @@ class Row(NamedTuple):
     sigma_deg: float
     true_deg: float | None
     grid_deg: float | None
+    north: TrueNorth | None = None
 
     @classmethod
     def of(cls, heading: LiveHeading) -> Row:
         """Take a heading in radians."""
         true, grid = (None if a is None else math.degrees(a) for a in (heading.true_rad, heading.grid_rad))
         magnetic, sigma = math.degrees(heading.magnetic_rad), math.degrees(heading.sigma_rad)
-        return cls(heading.boot_s, magnetic, sigma, true, grid)
+        return cls(heading.boot_s, magnetic, sigma, true, grid, heading.north)
 
     def text(self) -> str:
         """Return a line for a person."""
@@ -93,8 +95,9 @@ def command(
 ) -> int:
     """Stream the tilt-compensated heading with its uncertainty (1 sigma).
 
-    Magnetic, and true by the World Magnetic Model where the vehicle knows its place. The autopilot's
-    own calibration is in force. A live stream ends with Ctrl-C; on a terminal it is a compass card.
+    Magnetic, and true by the World Magnetic Model where the vehicle knows its place, or by what the
+    receiver's course or a second antenna shows on the way; it ends by saying which. The autopilot's own
+    calibration is in force. A live stream ends with Ctrl-C; on a terminal it is a compass card.
 
     \b
     mavcompass heading udpin:0.0.0.0:14550
@@ -128,8 +131,10 @@ def command(
         rows = _live(source, address, instance, two_axis, rate_hz or 5.0, system, notes, speed)
     chosen = _limited(rows, rate_hz, duration_s)
     kept: list[dict[str, Any]] = []
+    north = None
     with suppress(KeyboardInterrupt), dial(redrawn) as draw:  # Ctrl-C: the ordinary end of a live stream
         for row in chosen:
+            north = row.north
             if json_lines:
                 print(to_json(row.document()), flush=not recorded)
             elif draw is not None:
@@ -140,7 +145,11 @@ def command(
                 kept.append(row.document())
     for note in notes:
         click.echo(f"Note: {note}", err=True)
-    document = {"schema": "mavcompass.heading/1", "source": source, "headings": kept, "notes": notes}
+    document: dict[str, Any] = {"schema": "mavcompass.heading/1", "source": source, "headings": kept}
+    document["notes"] = notes
+    if north is not None:
+        click.echo(f"True north: {north.words()}.", err=True)
+        document["true_north"] = north.to_json()
     output.write_json(document)
     return 0
 
@@ -176,7 +185,8 @@ def _recorded(track: Track, instance: int, found: HeadingResult, notes: list[str
     nothing = np.full(len(found.time_s), np.nan)
     degrees = [nothing if column is None else np.degrees(column) for column in columns]
     for row in np.stack([found.time_s, *degrees], axis=1).tolist():
-        yield Row(*row[:3], *(None if math.isnan(value) else value for value in row[3:]))
+        true, grid = (None if math.isnan(value) else value for value in row[3:])
+        yield Row(row[0], row[1], row[2], true, grid, found.north)
 
 
 def _live(

@@ -14,12 +14,20 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.attitude import ON_THE_GROUND, down_in_body
+from mavcompass.attitude import down_in_body
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
-from mavcompass.frames import FloatArray, circular_mean, wrap_pi
+from mavcompass.frames import FloatArray, wrap_pi
 from mavcompass.heading.fault_isolation import HeadingSource
 from mavcompass.heading.one_compass import HeadingResult, heading_by_compass
+from mavcompass.heading.true_north import (
+    ANTENNA_RAD,
+    MOUNTED_RAD,
+    STEADY_RAD,
+    NorthSeen,
+    TrueNorth,
+    north_seen,
+)
 from mavcompass.steering import steering_source
 from mavcompass.track import Series, Track
 
@@ -37,17 +45,12 @@ _NO_HEADING_RAD = math.radians(30.0)
 _AVERAGED = 20
 # Two headings from the same readings agree no better: the wire's whole numbers, and times.
 FLOOR_RAD = math.radians(0.1)
-# One sigma of A: antennas as they are aligned; an autopilot's yaw; a wheel's or keel's course, and a wing's;
-# an accelerometer beside a receiver.
-_ANTENNA_RAD = math.radians(1.5)
-_AUTOPILOT_RAD, _COURSE_RAD, _ACCELERATION_RAD = math.radians(3.0), math.radians(3.0), math.radians(6.0)
+# One sigma of A: antennas as they are aligned; a compass beside a course; an autopilot's yaw; an
+# accelerometer beside a receiver.
+_NORTH_RAD = {"gps-yaw": ANTENNA_RAD, "gps-course": MOUNTED_RAD}
+_AUTOPILOT_RAD, _ACCELERATION_RAD = math.radians(3.0), math.radians(6.0)
 # Of a declination that is not known: where people drive it is rarely beyond 20 degrees.
 _DECLINATION_RAD = math.radians(12.0)
-# Slower than this the receiver's noise turns its course; slower to turn than this, it is straight.
-_COURSE_MPS, _STRAIGHT_RADPS = 2.0, math.radians(8.0)
-# What drives ahead does so for most of the time.
-_AHEAD = frozenset({"rover", "ackermann-rover", "boat", "plane"})
-_MOSTLY = 0.8
 # The receiver's velocity is compared over steps of this length; fewer, or less alike, show nothing.
 _STEP_S, _FEWEST_STEPS, _LEAST_COHERENCE = 1.0, 15, 0.5
 # Receivers are 0.1 to 0.2 s late (GPS_DELAY_MS, EKF2_GPS_DELAY), by how much nobody tells.
@@ -85,10 +88,12 @@ class Evidence:
     Attributes:
         sources: the compass itself first, then the others.
         scatter_rad: how much its heading moves against every other compass beyond A, B and C, rms.
+        north: what true headings it gives; None where the declination is not known.
     """
 
     sources: tuple[HeadingSource, ...]
     scatter_rad: float
+    north: TrueNorth | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,7 +125,7 @@ def compare(
     moments = _moments(track, mine, earth, windows)
     sources = [HeadingSource(f"compass {mine.instance}", (0.0, 0.0, 0.0), mine.sigma_rad, mine.by_itself)]
     if not len(moments.time_s):
-        return Evidence(tuple(sources), 0.0)
+        return Evidence(tuple(sources), 0.0, None if earth is None else TrueNorth.of(earth))
     scatters = []
     for other in others:
         found = _deviation(moments, other.heading.nearest(moments.time_s, _NEAREST_S))
@@ -137,7 +142,10 @@ def compare(
             continue
         name, sure = f"compass {other.instance}", math.hypot(other.sigma_rad, sigma)
         sources.append(HeadingSource(name, shown, sure, other.by_itself))
-    return Evidence((*sources, *_elsewhere(moments, mine.instance)), min(scatters, default=0.0))
+    seen = _north_seen(moments)
+    north = None if earth is None else TrueNorth.of(earth, seen)
+    sources += _elsewhere(moments, mine.instance, seen)
+    return Evidence(tuple(sources), min(scatters, default=0.0), north)
 
 
 def _moments(
@@ -209,54 +217,36 @@ def _deviation(
     return (float(wrap_pi(centre + a)), b, c), math.sqrt(float(covariance[0, 0])), math.sqrt(beyond2)
 
 
-def _elsewhere(moments: _Moments, instance: int) -> Iterator[HeadingSource]:
-    """Yield what is no compass: by its name in the calibration JSON."""
+def _north_seen(moments: _Moments) -> tuple[NorthSeen, ...]:
     track = moments.track
-    if track.gps_yaw_rad is not None:
-        yield from _true_source("gps-yaw", moments, track.gps_yaw_rad, _ANTENNA_RAD)
+    velocity, yaw = _receiver_velocity(track), track.gps_yaw_rad
+    nothing, time_s = Series(np.zeros(0), np.zeros((0, 3))), moments.time_s - track.field_lag_s
+    going = (velocity or nothing).nearest(time_s, _NEAREST_S)[:, :2]
+    antenna = np.full(len(time_s), np.nan) if yaw is None else yaw.nearest(time_s, _NEAREST_S)
+    return north_seen(track.vehicle, time_s, moments.heading_rad, going, antenna)
+
+
+def _receiver_velocity(track: Track) -> Series | None:
+    return track.receiver_velocity_mps or track.gps_velocity_mps
+
+
+def _elsewhere(moments: _Moments, instance: int, north: Iterable[NorthSeen]) -> Iterator[HeadingSource]:
+    """Yield what is no compass: by its name in the calibration JSON."""
+    track, declination_rad = moments.track, moments.declination_rad
+    for seen in north:
+        doubt = math.hypot(_NORTH_RAD[seen.by], seen.chance_rad, moments.declination_sigma_rad)
+        yield HeadingSource.elsewhere(seen.by, float(wrap_pi(seen.turn_rad - declination_rad)), doubt)
     steered_by = steering_source(track.autopilot, track.parameters)
     elsewhere = steered_by is not None and steered_by != instance and steered_by not in track.compasses
     yaw = _autopilot_yaw(track)
     if elsewhere and steered_by != "gps" and yaw is not None:
-        yield from _true_source("autopilot", moments, yaw, _AUTOPILOT_RAD)
-    velocity = track.receiver_velocity_mps or track.gps_velocity_mps
-    if velocity is None or len(velocity) < _FEWEST_STEPS:
-        return
-    if track.vehicle in _AHEAD:
-        yield from _course(moments, velocity)
-    elif track.vehicle not in ON_THE_GROUND:
+        told = yaw.nearest(moments.time_s - track.field_lag_s, _NEAREST_S) - declination_rad
+        if (found := _deviation(moments, told)) is not None:
+            doubt = math.hypot(_AUTOPILOT_RAD, found[1], moments.declination_sigma_rad)
+            yield HeadingSource.elsewhere("autopilot", found[0][0], doubt)
+    velocity = _receiver_velocity(track)
+    if velocity is not None and track.vehicle not in STEADY_RAD:
         yield from _acceleration(moments, velocity)
-
-
-def _true_source(name: str, moments: _Moments, true: Series, sigma_rad: float) -> Iterator[HeadingSource]:
-    magnetic = true.nearest(moments.time_s - moments.track.field_lag_s, _NEAREST_S) - moments.declination_rad
-    found = _deviation(moments, magnetic)
-    if found is not None:
-        (a, _, _), sigma, _ = found
-        doubt = math.hypot(sigma_rad, sigma, moments.declination_sigma_rad)
-        yield HeadingSource.elsewhere(name, a, doubt)
-
-
-def _course(moments: _Moments, velocity: Series) -> Iterator[HeadingSource]:
-    """Yield the course over ground of what drives ahead, and straight."""
-    told = np.diff(velocity.time_s, prepend=-np.inf) > 0.0  # a fix may be told twice
-    time, (north, east) = velocity.time_s[told], np.asarray(velocity.values)[told, :2].T
-    course = np.where(np.hypot(north, east) > _COURSE_MPS, np.arctan2(east, north), np.nan)
-    turning = np.abs(np.gradient(np.unwrap(np.nan_to_num(course)), time)) > _STRAIGHT_RADPS
-    course[turning] = np.nan
-    off = Series(time, course).nearest(moments.time_s, _NEAREST_S) - moments.heading_rad
-    off = off[np.isfinite(off)]
-    if off.size < _FEWEST_STEPS:
-        return
-    axis = 0.5 * circular_mean(2.0 * off)
-    ahead = np.cos(off - axis) > 0.0
-    if max(ahead.mean(), 1.0 - ahead.mean()) < _MOSTLY:
-        return  # it drives backwards as often
-    keep = ahead if ahead.mean() > 0.5 else ~ahead
-    a = circular_mean(off[keep])
-    spread = float(np.sqrt((np.asarray(wrap_pi(off[keep] - a)) ** 2).mean()))
-    sigma = math.hypot(_COURSE_RAD, spread / math.sqrt(_FEWEST_STEPS), moments.declination_sigma_rad)
-    yield HeadingSource.elsewhere("gps-course", float(wrap_pi(a - moments.declination_rad)), sigma)
 
 
 def _acceleration(moments: _Moments, velocity: Series) -> Iterator[HeadingSource]:

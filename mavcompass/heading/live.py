@@ -11,15 +11,17 @@ from __future__ import annotations
 
 import math
 from cmath import exp, phase
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from mavcompass import messages as mav
 from mavcompass.attitude.level import Level, Vector, dot
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray
 from mavcompass.heading.doubt import TILT_SIGMA_RAD, UNKNOWN_CALIBRATION_SIGMA_RAD, CalibrationDoubt
 from mavcompass.heading.fault_isolation import HeadingSource, isolate_faults
+from mavcompass.heading.true_north import NorthLearner, NorthSeen, TrueNorth
 
 _TWO_PI = 2.0 * math.pi
 # Autopilots average the compass over 100 ms and repeat it: a turning vehicle's reading is old by about this
@@ -41,7 +43,7 @@ class Heading:
         time_s: arrival, on the link's clock. boot_s: its moment, on the vehicle's.
         instance: the compass, from 1.
         magnetic_rad, true_rad: in [0, 2 pi); true is None where the declination is not known.
-        sigma_rad: standard deviation of the magnetic heading.
+        sigma_rad, true_sigma_rad: standard deviation of the magnetic heading, and of the true one.
         level_mgauss: the field along forward, right and down of the levelled vehicle.
         turned_rad: the gyro's angle at that moment.
         newer_rad, older_rad: by how much more it would be were the reading as new, or as old, as it may be.
@@ -57,6 +59,7 @@ class Heading:
     turned_rad: float = 0.0
     newer_rad: float = 0.0
     older_rad: float = 0.0
+    true_sigma_rad: float | None = None
 
     @property
     def from_gyro_rad(self) -> float:
@@ -86,6 +89,7 @@ class LiveCompass:
         calibration_sigma_rad: heading sigma of the calibration in force.
         world: the Earth's field at the vehicle, None while its place is unknown.
         latest: the last heading, None before the first.
+        north: what makes it a true one, None while the place is unknown. fixes: what that is learnt from.
         own_sigma_rad: its sigma by what this compass alone shows. beyond_rad: how far it may be off beyond
             that by what others show, see `Agreement`.
     """
@@ -95,7 +99,7 @@ class LiveCompass:
         self.calibration_sigma_rad = UNKNOWN_CALIBRATION_SIGMA_RAD
         self.world: EarthField | None = None
         self.latest: Heading | None = None
-        self._declination_rad: float | None = None
+        self.north: TrueNorth | None = None
         self._affine: tuple[Vector, Vector, Vector, Vector] | None = None
         self.restart()
 
@@ -106,12 +110,27 @@ class LiveCompass:
         self._new_s = 0.0  # the vehicle's time when the reading was new
         self._doubt, self._looked_s = CalibrationDoubt(0.0, self.world), -math.inf
         self._iron = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+        self.fixes = NorthLearner()
+        self.set_north(())
 
     def set_world(self, world: EarthField | None) -> None:
         """Say what the field should be."""
         self.world, self._looked_s = world, -math.inf
         self._doubt.world = world
-        self._declination_rad = None if world is None else world.declination_rad
+        self.set_north(() if self.north is None else (*self.north.learnt, *self.north.doubted))
+
+    def set_north(self, seen: Sequence[NorthSeen]) -> None:
+        """Say by how much true north was seen ahead of magnetic here."""
+        self.north = None if self.world is None else TrueNorth.of(self.world, seen)
+
+    def hear_receiver(self, gps: mav.GpsRawInt) -> None:
+        """Take a fix, beside the latest heading."""
+        if self.latest is not None:
+            self.fixes.hear(self.latest.boot_s, self.latest.magnetic_rad, gps)
+
+    def learn_north(self, kind: str) -> None:
+        """Look at what the fixes show of a kind of vehicle."""
+        self.set_north(self.fixes.seen(kind))
 
     def set_uncorrected(self, correction: FieldCorrection, rotation: FloatArray) -> None:
         """Say that this autopilot reports raw readings in sensor axes, and how to make a field of them."""
@@ -135,16 +154,21 @@ class LiveCompass:
         horizontal = math.hypot(field[0], field[1])
         if horizontal < 1.0:
             return None
-        late = [math.remainder(psi - at - (magnetic - turned), _TWO_PI) for _, psi, at in others]
+        newer, older = (math.remainder(psi - at - (magnetic - turned), _TWO_PI) for _, psi, at in others)
         if is_new:
             self._doubt.add(*field, keep=_KEEP)
         now_rad = level.at(boot_s)[1]
         magnetic += now_rad - turned
-        true = None if self._declination_rad is None else (magnetic + self._declination_rad) % _TWO_PI
-        self.own_sigma_rad = self._sigma_rad(time_s, field, horizontal, level.sigma_rad, max(map(abs, late)))
+        self.own_sigma_rad = self._sigma_rad(
+            time_s, field, horizontal, level.sigma_rad, max(abs(newer), abs(older))
+        )
         sigma = min(math.hypot(self.own_sigma_rad, self.beyond_rad), math.pi)
-        magnetic %= _TWO_PI
-        self.latest = Heading(time_s, boot_s, self.instance, magnetic, true, sigma, field, now_rad, *late)
+        true = true_sigma = None
+        if self.north is not None:
+            true = (magnetic + self.north.turn_rad) % _TWO_PI
+            true_sigma = min(math.hypot(sigma, self.north.sigma_rad), math.pi)
+        told = (time_s, boot_s, self.instance, magnetic % _TWO_PI, true, sigma)
+        self.latest = Heading(*told, field, now_rad, newer, older, true_sigma)
         return self.latest
 
     def _sigma_rad(self, time_s: float, field: Vector, horizontal: float, tilt: float, late: float) -> float:

@@ -12,7 +12,7 @@ from mavcompass.compass_parameters import is_calibrated
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField, earth_field_of, middle_place
 from mavcompass.errors import BadRecording
-from mavcompass.frames import FloatArray, tilt_from_acceleration
+from mavcompass.frames import FloatArray, tilt_from_acceleration, wrap_two_pi
 from mavcompass.gravity import require_gravity
 from mavcompass.heading.compute import grid_heading, level_field, tilt_compensated_heading, true_heading
 from mavcompass.heading.doubt import (
@@ -22,6 +22,7 @@ from mavcompass.heading.doubt import (
     prior_sigma_mgauss,
     turned_since_new,
 )
+from mavcompass.heading.true_north import TrueNorth
 from mavcompass.heading.two_axis import two_axis_heading
 from mavcompass.track import Track
 
@@ -40,6 +41,7 @@ class HeadingResult:
         magnetic_sigma_rad, sigma_rad: standard deviation of the magnetic heading, and of the true one
             (the declination's included; of the magnetic one again where the place is unknown). The
             calibration's share is judged by how far the corrected field is from the Earth's.
+        north: what the true heading rests on; None where there is none, or nothing else was looked at.
     """
 
     time_s: FloatArray
@@ -49,14 +51,22 @@ class HeadingResult:
     true_rad: FloatArray | None = None
     grid_rad: FloatArray | None = None
     declination_rad: float = math.nan
+    north: TrueNorth | None = None
 
-    def widened(self, beyond_rad: float) -> HeadingResult:
-        """Return it with what is not known beyond the sigmas, rms."""
-        magnetic, true = (
-            np.minimum(np.hypot(sigma, beyond_rad), math.pi)
-            for sigma in (self.magnetic_sigma_rad, self.sigma_rad)
-        )
+    def widened(self, beyond_rad: float, true_beyond_rad: float | None = None) -> HeadingResult:
+        """Return it with what is not known beyond the sigmas, rms; of true headings that may be another."""
+        true_rad = beyond_rad if true_beyond_rad is None else true_beyond_rad
+        magnetic = np.minimum(np.hypot(self.magnetic_sigma_rad, beyond_rad), math.pi)
+        true = np.minimum(np.hypot(self.sigma_rad, true_rad), math.pi)
         return replace(self, magnetic_sigma_rad=magnetic, sigma_rad=true)
+
+    def with_north(self, north: TrueNorth) -> HeadingResult:
+        """Return it with true headings by another angle from magnetic north than the model's."""
+        more = north.turn_rad - self.declination_rad
+        true, grid = (None if h is None else wrap_two_pi(h + more) for h in (self.true_rad, self.grid_rad))
+        model = north.world.declination_sigma_rad
+        sigma = np.sqrt(np.maximum(self.sigma_rad**2 - model**2, 0.0) + north.sigma_rad**2)
+        return replace(self, true_rad=true, grid_rad=grid, sigma_rad=np.minimum(sigma, math.pi), north=north)
 
 
 def heading_by_compass(

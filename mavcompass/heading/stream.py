@@ -14,7 +14,7 @@ from mavcompass.track import Track
 def heading_of_track(
     track: Track, correction: FieldCorrection | None = None, instance: int = 1, *, two_axis: bool = False
 ) -> HeadingResult:
-    """Compute a recording's tilt-compensated heading; what else tells it may widen its sigma.
+    """Compute a recording's tilt-compensated heading; what else tells it may widen its sigma or teach north.
 
     Args:
         track: the recording.
@@ -29,4 +29,10 @@ def heading_of_track(
     others = [compass_heading(track, other) for other in other_compasses(track, instance)]
     earth = earth_field_of(track, UNKNOWN_YEAR)
     evidence = compare(track, CompassHeading.of(instance, found), others, earth)
-    return found.widened(isolate_faults(evidence.sources).beyond_rad(0))
+    beyond_rad = isolate_faults(evidence.sources).beyond_rad(0)
+    if (north := evidence.north) is None:
+        return found.widened(beyond_rad)
+    # What true north was learnt from is no witness against that; of the rest it is one as before.
+    learnt = {one.by for one in north.learnt}
+    rest = [source for source in evidence.sources if source.name not in learnt]
+    return found.widened(beyond_rad, isolate_faults(rest).beyond_rad(0)).with_north(north)

@@ -251,19 +251,28 @@ class VehicleState:
         """Return how fast it moves over the ground; 0 while it does not know its place."""
         return 0.0 if self.place is None else 0.01 * math.hypot(self.place.vx, self.place.vy)
 
-    def world(self, year: float) -> EarthField | None:
-        """Return the Earth's field at the vehicle, None where it does not know its place.
+    @property
+    def where(self) -> tuple[float, float, float] | None:
+        """Return latitude and longitude, degrees, and altitude, metres; None where that is not known.
 
-        The receiver's place counts where the estimator tells none: PX4's does not before it has a yaw. `year`
-        (decimal) is used where it does not know the date.
+        The receiver's place counts where the estimator tells none: PX4's does not before it has a yaw.
         """
         place: mav.GlobalPositionInt | mav.GpsRawInt | None = self.place
-        utc, gps = self.utc, self.gps
+        gps = self.gps
         if place is None and gps is not None and gps.fix_type >= telemetry.FIX_3D and _on_earth(gps):
             place = gps
         if place is None or not (place.lat or place.lon):
             return None
+        return place.lat * 1e-7, place.lon * 1e-7, place.alt * 1e-3
+
+    def world(self, year: float) -> EarthField | None:
+        """Return the Earth's field at the vehicle, None where it does not know its place.
+
+        `year` (decimal) is used where it does not know the date.
+        """
+        where, utc = self.where, self.utc
+        if where is None:
+            return None
         if utc is not None and utc.time_unix_usec > _NOT_DATED_US:
             year = decimal_year(utc.time_unix_usec * 1e-6)
-        lat_deg, lon_deg = round(place.lat * 1e-7, 2), round(place.lon * 1e-7, 2)
-        return earth_field(lat_deg, lon_deg, place.alt * 1e-3, round(year, 2))
+        return earth_field(round(where[0], 2), round(where[1], 2), where[2], round(year, 2))

@@ -105,6 +105,7 @@ def _compass(track: Track, result: CalibrationResult) -> dict[str, Any]:
         "summary": summary(result),
         "reasons": result.reasons,
         "warnings": result.warnings,
+        "proofs": [] if result.north is None else [said for said, *_ in result.north.proofs(result.instance)],
         "not_observable": result.not_observable,
         "sigma_deg": _known(result.heading_sigma_deg),
         "change_deg": _known(result.heading_change_deg),

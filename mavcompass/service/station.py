@@ -301,9 +301,12 @@ class HeadingPublisher:
 
 def datagram(heading: Heading) -> bytes:
     """Write a heading as JSON; degrees, the vehicle's clock in seconds."""
-    true = "null" if heading.true_rad is None else f"{heading.true_rad * _DEG:.3f}"
+    true, true_sigma = (
+        "null" if angle is None else f"{angle * _DEG:.3f}"
+        for angle in (heading.true_rad, heading.true_sigma_rad)
+    )
     return (
         f'{{"boot_s":{heading.boot_s:.6f},"compass":{heading.instance},'
         f'"magnetic_deg":{heading.magnetic_rad * _DEG:.3f},"true_deg":{true},'
-        f'"sigma_deg":{heading.sigma_rad * _DEG:.3f}}}'
+        f'"sigma_deg":{heading.sigma_rad * _DEG:.3f},"true_sigma_deg":{true_sigma}}}'
     ).encode()

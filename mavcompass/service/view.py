@@ -73,6 +73,9 @@ class VehicleView:
         hear(self.level, message)
         if kind is mav.GlobalPositionInt:
             self._look_up_world(message)  # type: ignore[arg-type]
+        elif kind is mav.GpsRawInt:
+            for compass in self.compasses.values():
+                compass.hear_receiver(message)  # type: ignore[arg-type]
         return None
 
     def _raw(self, time_s: float, imu: mav.RawImu) -> Heading | None:

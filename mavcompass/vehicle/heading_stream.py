@@ -15,6 +15,7 @@ from mavcompass.errors import LinkLost, NoReply, Refused
 from mavcompass.heading.compute import grid_convergence_rad
 from mavcompass.heading.doubt import prior_sigma_rad
 from mavcompass.heading.live import Agreement, LiveCompass
+from mavcompass.heading.true_north import TrueNorth
 from mavcompass.heading.two_axis import TwoAxisCompass
 from mavcompass.messages.telemetry import field_mgauss, imu_time_s
 from mavcompass.parameter_remarks import remarks_said
@@ -31,17 +32,23 @@ _KINDS: dict[int, type[mav.Message]] = {1: mav.RawImu, 2: mav.ScaledImu2, 3: mav
 _INSTANCES: dict[type[mav.Message], int] = {mav.ScaledImu: 1} | {kind: i for i, kind in _KINDS.items()}
 # The compasses beside the one that is asked for need not be heard as often.
 _BESIDE_HZ = 2.0
+# What the receiver has shown of true north is looked at so often.
+_LEARN_S = 60.0
 
 
 @dataclass(frozen=True, slots=True)
 class LiveHeading:
-    """Hold one heading, radians; true and grid are None where the vehicle does not know its place."""
+    """Hold one heading, radians; true and grid are None where the vehicle does not know its place.
+
+    `sigma_rad` is of the true heading where there is one; `north` says what that rests on.
+    """
 
     boot_s: float
     magnetic_rad: float
     sigma_rad: float
     true_rad: float | None = None
     grid_rad: float | None = None
+    north: TrueNorth | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +131,7 @@ def _stream(link: Link, source: str, start: _Start, instance: int, two_axis: boo
         else None
     )
     chosen: type[mav.Message] | None = None
-    heard_s = link.now()
+    heard_s, learnt_s = link.now(), -math.inf
     while True:
         heard = link.receive(0.5)
         if start.identity.system in link.statistics.shared:
@@ -136,6 +143,11 @@ def _stream(link: Link, source: str, start: _Start, instance: int, two_axis: boo
         heard_s = heard.time_s
         message = heard.message
         hear(level, message)
+        if isinstance(message, mav.GpsRawInt) and instance in compasses:
+            compasses[instance].hear_receiver(message)
+            if heard_s - learnt_s > _LEARN_S:
+                compasses[instance].learn_north(start.identity.kind)
+                learnt_s = heard_s
         of = _INSTANCES.get(type(message))
         if of is None or (of == 1 and chosen not in (None, type(message))):
             continue
@@ -154,7 +166,7 @@ def _stream(link: Link, source: str, start: _Start, instance: int, two_axis: boo
         if flat is not None:
             x, y, _ = _three(field_mgauss(message))
             magnetic = flat.update(x, y, level.roll_rad, level.pitch_rad)
-        yield _heading(boot_s, magnetic, found.sigma_rad, start)
+        yield _heading(boot_s, magnetic, found.sigma_rad, compasses[of].north, start.convergence_rad)
 
 
 def _compass(source: str, start: _Start, instance: int) -> LiveCompass:
@@ -170,12 +182,14 @@ def _compass(source: str, start: _Start, instance: int) -> LiveCompass:
     return compass
 
 
-def _heading(boot_s: float, magnetic: float, sigma: float, start: _Start) -> LiveHeading:
-    if start.world is None:
+def _heading(
+    boot_s: float, magnetic: float, sigma: float, north: TrueNorth | None, convergence_rad: float
+) -> LiveHeading:
+    if north is None:
         return LiveHeading(boot_s, magnetic, sigma)
-    true = (magnetic + start.world.declination_rad) % (2.0 * math.pi)
-    grid = (true - start.convergence_rad) % (2.0 * math.pi)
-    return LiveHeading(boot_s, magnetic, math.hypot(sigma, start.world.declination_sigma_rad), true, grid)
+    true = (magnetic + north.turn_rad) % (2.0 * math.pi)
+    grid = (true - convergence_rad) % (2.0 * math.pi)
+    return LiveHeading(boot_s, magnetic, math.hypot(sigma, north.sigma_rad), true, grid, north)
 
 
 def _three(vector: object) -> tuple[float, float, float]:

@@ -31,6 +31,7 @@ def flight(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
         true_rad=true,
         grid_rad=None,
         sigma_rad=np.full(8, math.radians(1.5)),
+        north=None,
     )
     monkeypatch.setattr(api, "read_track", lambda source: Track(source=source))
     monkeypatch.setattr(stream, "heading_of_track", lambda track, earth, instance, two_axis: found)

@@ -18,6 +18,7 @@ from mavcompass.enums import EkfFlag
 from mavcompass.frames import FloatArray, wrap_pi
 from mavcompass.gravity import REMEDY, no_gravity
 from mavcompass.heading.fault_isolation import HeadingSource, isolate_faults
+from mavcompass.heading.true_north import TrueNorth
 from mavcompass.steering import PX4_COMPASSES, SteeringSource
 from mavcompass.track import Series
 
@@ -171,6 +172,16 @@ def judge_yaw(instance: int, off_deg: float, source: SteeringSource) -> CheckIte
     own = "Let it settle and check again; if it stays, restart the autopilot."
     other = "Hold both against a landmark: either the compass is wrong, or what steers."
     return _graded("yaw", off_deg, 5.0, 15.0, text, own if source == instance else other, instance)
+
+
+def judge_north(instance: int, north: TrueNorth) -> list[CheckItem]:
+    """Judge a compass's heading against true ones that were seen on the way."""
+    remedy = "Where it is so at other places, too, it is how the compass is mounted; else the rocks here."
+    items = []
+    for text, off_deg, sigma_deg in north.proofs(instance):
+        limit_deg = max(3.0, 3.0 * sigma_deg)
+        items.append(_graded("north", off_deg, limit_deg, 3.0 * limit_deg, text, remedy, instance))
+    return items
 
 
 def judge_field(reading: Reading, world: EarthField | None) -> list[CheckItem]:

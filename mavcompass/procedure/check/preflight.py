@@ -22,6 +22,7 @@ from mavcompass.enums import MavCmd
 from mavcompass.errors import PoorCalibration, Refused
 from mavcompass.frames import FloatArray, circular_mean, wrap_pi
 from mavcompass.heading.fault_isolation import HeadingSource
+from mavcompass.heading.true_north import TrueNorth
 from mavcompass.parameter_remarks import parameter_remarks
 from mavcompass.procedure.check import items
 from mavcompass.procedure.check.items import AGREEMENT_SIGMA_DEG, CheckItem, Reading
@@ -51,6 +52,7 @@ class CheckSettings:
             "hand" asks a person.
         system: MAVLink system id, where several vehicles share the link.
         year: decimal year to use where the vehicle does not know the date.
+        north: what drives before, or all of a recording, told of each compass's true heading.
     """
 
     turn: Turn = "none"
@@ -60,6 +62,7 @@ class CheckSettings:
     # A vehicle that is on its way is waited for: a turn on the spot takes so long.
     dwell: DwellSettings = field(default_factory=lambda: DwellSettings(patience_s=10.0))
     limits: SafetyLimits = field(default_factory=SafetyLimits)
+    north: Mapping[int, TrueNorth] = field(default_factory=dict)
 
 
 def check(
@@ -167,6 +170,8 @@ class _Checker:
             text = "The vehicle does not know its place: the field was not compared with the world's."
             self._add(CheckItem("place", "warn", text, "Wait for a GPS fix and check again."))
         for instance in self.desk.instances:
+            if (north := self.settings.north.get(instance)) is not None:
+                self.items += items.judge_north(instance, north)
             reading = self._reading(track, instance, window)
             if reading is None:
                 self._say_silent(track, instance, window)

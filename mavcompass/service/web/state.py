@@ -24,6 +24,9 @@ def heading_json(heading: Heading) -> dict[str, Any]:
         "magnetic_deg": round(math.degrees(heading.magnetic_rad), 2),
         "true_deg": None if heading.true_rad is None else round(math.degrees(heading.true_rad), 2),
         "sigma_deg": round(math.degrees(heading.sigma_rad), 2),
+        "true_sigma_deg": None
+        if heading.true_sigma_rad is None
+        else round(math.degrees(heading.true_sigma_rad), 2),
         "level_mgauss": [round(forward, 1), round(right, 1), round(down, 1)],
     }
 
@@ -131,6 +134,7 @@ def _vehicle_json(view: VehicleView) -> dict[str, Any]:
                 "instance": instance,
                 "device_id": view.device_id(instance),
                 "calibration_sigma_deg": _sigma_deg(view, instance),
+                "true_north": _north_json(view, instance),
             }
             for instance in view.instances()
         ],
@@ -141,6 +145,11 @@ def _vehicle_json(view: VehicleView) -> dict[str, Any]:
 def _sigma_deg(view: VehicleView, instance: int) -> float | None:
     compass = view.compasses.get(instance)
     return None if compass is None else round(math.degrees(compass.calibration_sigma_rad), 2)
+
+
+def _north_json(view: VehicleView, instance: int) -> dict[str, Any] | None:
+    compass = view.compasses.get(instance)
+    return None if compass is None or compass.north is None else compass.north.to_json()
 
 
 def _world_json(view: VehicleView) -> dict[str, Any] | None:

@@ -20,6 +20,7 @@ from mavcompass.service.work import clock, procedures
 from mavcompass.service.work.clock import utc_now
 from mavcompass.service.work.history import History
 from mavcompass.service.work.learning import Learning
+from mavcompass.service.work.north import NorthKeeper
 from mavcompass.service.work.results import Recorder, Results, old_and_new, sigma_deg
 from mavcompass.service.work.staleness import stale_findings
 from mavcompass.service.work.tasks import LEARNT, CalibrationRequest, CheckRequest, Task, UndoRequest
@@ -58,6 +59,7 @@ class Jobs:
         self._hear = hear
         self._worker = Worker()
         self._results = Results(config, history, self._worker)
+        self._north = NorthKeeper(config.folder / "north.json")
 
     def work(self, link: Link, view: VehicleView | None, task: Task) -> None:
         """Carry out a request to its end; whatever goes wrong is told in the task."""
@@ -88,7 +90,7 @@ class Jobs:
         note_interrupted_write(self._history, met.vehicle, met.parameters, self._config.folder / "undo")
 
     def judge_calibrations(self, view: VehicleView) -> tuple[Finding, ...]:
-        """Compare what is in force with the history, and say how good it is."""
+        """Compare what is in force with the history, and say how good it is and what true north rests on."""
         dialect = make_dialect(view.identity.autopilot)
         findings: list[Finding] = []
         for instance in view.instances():
@@ -100,6 +102,7 @@ class Jobs:
             changed = any(finding.id in ("parameters", "uncalibrated") for finding in found)
             sigma = None if last is None or changed else sigma_deg(last, instance)
             view.set_calibration_sigma(instance, sigma)
+            self._north.learn(view, instance)
         return tuple(findings)
 
     def _do(self, link: Link, view: VehicleView, task: Task) -> None:
@@ -124,7 +127,7 @@ class Jobs:
             self.recorder = recorder = Recorder()
             self._results.calibrated(task, view, self._carry_out(link, view, machine, task), recorder)
         elif isinstance(request, CheckRequest):
-            checking = procedures.check(request, source, system, view.year, config.vehicle.rate_hz)
+            checking = procedures.check(request, source, view, config.vehicle.rate_hz)
             self._results.checked(task, view, self._carry_out(link, view, checking, task))
         elif isinstance(request, UndoRequest):
             undoing = procedures.undo(self._results.undo_path(request), source, system, undo_folder)

@@ -21,6 +21,7 @@ from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Context, Machine, Script
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.procedure.vehicle_state import VehicleIdentity, find_vehicle
+from mavcompass.service.view import VehicleView
 from mavcompass.service.work import clock
 from mavcompass.service.work.tasks import CalibrationRequest, CheckRequest, Task
 from mavcompass.service.work.worker import Worker
@@ -119,11 +120,10 @@ def write_learnt(
     return Machine(script)
 
 
-def check(
-    request: CheckRequest, source: str, system: int, year: float, rate_hz: float
-) -> Machine[CheckReport]:
+def check(request: CheckRequest, source: str, view: VehicleView, rate_hz: float) -> Machine[CheckReport]:
     """Build a pre-flight check."""
-    settings = CheckSettings(turn=request.turn, system=system, year=year, rate_hz=rate_hz)
+    north = {i: compass.north for i, compass in view.compasses.items() if compass.north is not None}
+    settings = CheckSettings(request.turn, view.identity.system, rate_hz, view.year, north=north)
     return Machine(lambda context: check_script(context, lambda make: make_dialect(make, source), settings))
 
 

@@ -198,13 +198,16 @@ function showNow() {
   const degrees = heading.true_deg ?? heading.magnetic_deg;
   // A course is true: beside a magnetic heading it would say nothing.
   const course = heading.true_deg === null ? null : now.course_deg;
-  rose.show(degrees, heading.sigma_deg, course);
+  rose.show(degrees, heading.true_sigma_deg ?? heading.sigma_deg, course);
   $("moving").hidden = course === null;
   $("course").textContent = `${course?.toFixed(1)}°`;
   field.show(heading, page.world);
   $("heading").textContent = String(Math.round(degrees) % 360).padStart(3, "0");
   $("north").textContent = heading.true_deg === null ? "magnetic" : "true";
-  $("sigma").textContent = heading.sigma_deg.toFixed(heading.sigma_deg < 10 ? 1 : 0);
+  const sigma = heading.true_sigma_deg ?? heading.sigma_deg;
+  $("sigma").textContent = sigma.toFixed(sigma < 10 ? 1 : 0);
+  const north = page.vehicle?.compasses.find((c) => c.instance === heading.instance)?.true_north;
+  $("rests-on").textContent = north?.learnt_by.length ? north.rests_on : "";
   $("magnetic").textContent = `${heading.magnetic_deg.toFixed(1)}°`;
   const [forward, right, down] = heading.level_mgauss;
   const level = Math.hypot(forward, right), total = Math.hypot(level, down);
