@@ -56,10 +56,11 @@ class Levels:
         return np.asarray(down / np.maximum(np.linalg.norm(down, axis=1, keepdims=True), 1e-9))
 
 
-def levels(track: Track) -> Levels:
+def levels(track: Track, from_s: float = -math.inf) -> Levels:
     """Tell roll and pitch by all that was recorded; where nothing was, level, with the sigma of that.
 
     Beside an accelerometer that shows no gravity nothing is known of them, by an autopilot's word neither.
+    Before `from_s` they are as they were known then: what came after it is not asked once more.
     """
     return _levels(
         track.acc_mps2,
@@ -69,6 +70,7 @@ def levels(track: Track) -> Levels:
         track.vehicle,
         track.autopilot in ("ardupilot", "px4"),
         (track.acc_truncation_mps2, track.gyro_truncation_radps),
+        from_s,
     )
 
 
@@ -87,6 +89,7 @@ def _levels(
     vehicle: str,
     flown: bool,
     steps: tuple[float, float],
+    from_s: float,
 ) -> Levels:
     trouble = no_gravity(acc)
     acc, gyro, attitude = _finite(acc), _finite(gyro), _finite(attitude)
@@ -104,7 +107,12 @@ def _levels(
     told = _told(time, attitude)
     speed = _finite(None if velocity is None else Series(velocity.time_s, velocity.values[:, :2]))
     ahead = _run(vehicle, time, rate, force, told, speed, 1.0)
-    back = _run(vehicle, time, rate, force, told, speed, -1.0)
+    # From the step before it, so that what is asked for lies between two.
+    first = max(int(np.searchsorted(time, from_s, side="right")) - 1, 0)
+    back = np.full((time.size, 4), math.inf)
+    back[:, :3] = 0.0
+    late = None if told is None else (told[0][first:], told[1][first:])
+    back[first:] = _run(vehicle, time[first:], rate[first:], force[first:], late, speed, -1.0)
     weight, other = 1.0 / ahead[:, 3], 1.0 / back[:, 3]
     down = weight[:, np.newaxis] * ahead[:, :3] + other[:, np.newaxis] * back[:, :3]
     down /= np.maximum(np.linalg.norm(down, axis=1, keepdims=True), 1e-9)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mavcompass.calibration.observation import around, dwell_between
+from mavcompass.calibration.observation import latest_dwells
 from mavcompass.calibration.result import CalibrationResult, surest
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkError, PoorCalibration, Refused
@@ -82,7 +82,7 @@ def yaw_error_rad(
     said = None if attitude is None else attitude.between(start_s, end_s)
     if said is None or not len(said):
         raise PoorCalibration("The autopilot did not tell its attitude.")
-    seen = dwell_between(around(track, start_s, end_s), result.instance, start_s, end_s)
+    (seen,) = latest_dwells(track, (result.instance,), start_s, end_s)
     if turned is not None:
         seen = replace(seen, mean_mgauss=turned @ seen.mean_mgauss)
     yaw = float(np.angle(np.exp(1j * said.values[:, 2]).mean()))

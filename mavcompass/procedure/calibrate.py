@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from mavcompass import messages as mav
-from mavcompass.calibration.observation import around, dwell_between
+from mavcompass.calibration.observation import latest_dwells
 from mavcompass.calibration.result import CalibrationResult, OwnFinding, summary
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkLost, PoorCalibration, Refused
@@ -259,9 +259,8 @@ class _Calibration:
     def sureness_deg(self, start_s: float, end_s: float) -> float:
         """Return how far the heading by one still stretch may be off, 1 sigma, of the worst compass."""
         track = self.desk.builder.build()
-        near = around(track, start_s, end_s)
         try:
-            seen = [dwell_between(near, i, start_s, end_s) for i in self.heard]
+            seen = latest_dwells(track, self.heard, start_s, end_s)
         except (PoorCalibration, KeyError):
             return math.inf
         world = earth_field_of(track, self.settings.year)

@@ -5,8 +5,8 @@ from mavcompass.calibration.observation.detector import StillnessDetector as Sti
 from mavcompass.calibration.observation.dwells import Dwell as Dwell
 from mavcompass.calibration.observation.dwells import FourPositionData as FourPositionData
 from mavcompass.calibration.observation.dwells import Step as Step
-from mavcompass.calibration.observation.dwells import around as around
 from mavcompass.calibration.observation.dwells import dwell_between as dwell_between
+from mavcompass.calibration.observation.dwells import latest_dwells as latest_dwells
 from mavcompass.calibration.observation.rolling import WHEELED as WHEELED
 from mavcompass.calibration.observation.rolling import rolls as rolls
 from mavcompass.calibration.observation.stillness import accelerometer_of as accelerometer_of

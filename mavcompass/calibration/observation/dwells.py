@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.attitude import LASTS_S, down_in_body
+from mavcompass.attitude import LASTS_S, Levels, levels
 from mavcompass.calibration.observation.tilt import TILT_FLOOR_RAD, tilt_during
 from mavcompass.calibration.observation.turning import GYRO_SCALE_SIGMA, TurnRecord, turn_record
 from mavcompass.calibration.observation.wire import effective_count, hidden_in_runs, unquantise
@@ -117,12 +117,17 @@ class FourPositionData:
 
 
 def dwell_between(
-    track: Track, instance: int, start_s: float, end_s: float, turn: TurnRecord | None = None
+    track: Track,
+    instance: int,
+    start_s: float,
+    end_s: float,
+    turn: TurnRecord | None = None,
+    level: Levels | None = None,
 ) -> Dwell:
     """Average what one compass saw between two times in which the vehicle stood still.
 
-    A change of the correction in force inside the stretch is honoured. `turn` saves the integration
-    of the gyro where the caller has it already.
+    A change of the correction in force inside the stretch is honoured. `turn` and `level` are the
+    recording's, where the caller has them already.
     Raises PoorCalibration where the stretch holds fewer than two readings, KeyError for an unknown compass.
     """
     compass = track.compasses[instance]
@@ -139,21 +144,27 @@ def dwell_between(
     if compass.correction_at(float(time[0])) != in_force:
         was = [compass.correction_at(float(t)) for t in time]
         reported = in_force.apply(np.array([c.undo(row) for c, row in zip(was, reported, strict=True)]))
-    return _dwell(track, compass, in_force, time, reported, turn or turn_record(track, instance))
+    level = level or levels(track)
+    turn = turn or turn_record(track, instance, level)
+    return _dwell(track, level, compass, in_force, time, reported, turn)
 
 
-def around(track: Track, start_s: float, end_s: float) -> Track:
-    """Cut out what tells the level of one stretch, of a long session that is looked at again and again.
+def latest_dwells(track: Track, instances: tuple[int, ...], start_s: float, end_s: float) -> list[Dwell]:
+    """Average what compasses saw in one of the last stretches of a long session; see `dwell_between`.
 
-    Turns count from there. The level is estimated once for all compasses that are asked about in it, and goes
-    on from what it was as long as the cut begins at the same reading.
+    A session is looked at again and again: its level is estimated once for all compasses, from so near that
+    it is known as well, it goes on from what it was as long as that begins at the same reading, and what has
+    come since is asked about the stretch alone. Turns count from there.
     """
     begins_s = LASTS_S * math.floor((start_s - _NEAR_S) / LASTS_S)
-    return track.between(begins_s, end_s + _NEAR_S)
+    near = track.between(begins_s, end_s + _NEAR_S)
+    level = levels(near, start_s - near.field_lag_s)
+    return [dwell_between(near, i, start_s, end_s, turn_record(near, i, level), level) for i in instances]
 
 
 def _dwell(
     track: Track,
+    level: Levels,
     compass: MagSeries,
     in_force: FieldCorrection,
     time: FloatArray,
@@ -162,7 +173,7 @@ def _dwell(
 ) -> Dwell:
     felt_s = time - track.field_lag_s
     angles = record.angle_at(felt_s) if record is not None else np.zeros(time.size)
-    down = down_in_body(track, felt_s)
+    down = level.at(felt_s)
     motion = np.column_stack([angles, down[:, :2]])
     fresh, _ = effective_count(reported)
     keep = _inliers(reported, motion, compass.quantum_mgauss)
@@ -183,7 +194,7 @@ def _dwell(
     middle = float(np.median(angles))
     turned = middle + float(np.angle(phasor * np.exp(-1j * middle)))
     turning = abs(float(np.mean(record.rate_at(time)))) if record is not None else 0.0
-    roll, pitch, tilt_sigma, acc = tilt_during(track, felt_s, LAG_SIGMA_S)
+    roll, pitch, tilt_sigma, acc = tilt_during(track, felt_s, LAG_SIGMA_S, level)
     mapping = level_to_body(*tilt_from_acceleration(-down[keep]), angles[keep] - turned).mean(axis=0)
     current = track.current_a
     return Dwell(

@@ -16,7 +16,7 @@ import math
 
 import numpy as np
 
-from mavcompass.attitude import levels
+from mavcompass.attitude import Levels, levels
 from mavcompass.calibration.observation.wire import unquantise
 from mavcompass.frames import FloatArray
 from mavcompass.track import Track
@@ -35,14 +35,14 @@ _SLOPE_RAD = math.radians(5.0)
 
 
 def tilt_during(
-    track: Track, time_s: FloatArray, lag_sigma_s: float = 0.0
+    track: Track, time_s: FloatArray, lag_sigma_s: float = 0.0, level: Levels | None = None
 ) -> tuple[float, float, float, FloatArray]:
     """Return roll, pitch, their sigma and the mean specific force over the stretch of some readings.
 
     `lag_sigma_s` is what is not known of the readings' times: it matters while the tilt changes.
     """
     start, end = float(time_s[0]), float(time_s[-1])
-    level = levels(track)
+    level = level or levels(track)
     downs = level.at(time_s)
     down = downs.mean(axis=0)
     x, y, z = down

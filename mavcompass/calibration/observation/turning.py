@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.attitude import down_in_body, moving_average
+from mavcompass.attitude import Levels, levels, moving_average
 from mavcompass.calibration.observation.wire import white_noise
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, tilt_from_acceleration, wrap_pi
@@ -103,10 +103,11 @@ class TurnRecord:
         return float((wandered**2).mean() / _GAP_S * (gaps_s**3).sum() / 12.0)
 
 
-def turn_record(track: Track, instance: int = 1) -> TurnRecord | None:
+def turn_record(track: Track, instance: int = 1, level: Levels | None = None) -> TurnRecord | None:
     """Integrate the gyro about the vertical; None where the recording has no gyro.
 
-    The bias comes from stretches in which the magnetometer `instance` shows that nothing turned.
+    The bias comes from stretches in which the magnetometer `instance` shows that nothing turned. `level` is
+    the recording's, where the caller has it already.
     """
     gyro = track.gyro_radps
     if gyro is None or len(gyro) < 3:
@@ -116,7 +117,7 @@ def turn_record(track: Track, instance: int = 1) -> TurnRecord | None:
     if time.size < 3:
         return None
     rates = uncut(rates, track.gyro_truncation_radps)
-    down = down_in_body(track, time)
+    down = (level or levels(track)).at(time)
     vertical = np.einsum("ij,ij->i", rates, down)
     horizontal = np.linalg.norm(rates - vertical[:, np.newaxis] * down, axis=1)
     known_autopilot = track.autopilot in ("ardupilot", "px4")
