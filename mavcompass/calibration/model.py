@@ -34,6 +34,8 @@ HORIZONTAL, VERTICAL, GYRO_SCALE, GYRO_BIAS = 9, 10, 11, 12
 MOTOR = slice(13, 16)
 LAG = 16
 HEADINGS = 17
+# What a reading is linear in once the headings are given: offset, gain, motors.
+LINEAR = np.r_[OFFSET, GAIN, MOTOR]
 # The source of a heading's error that no further position averages out.
 ACCELEROMETER = "accelerometer"
 NAMES = (
@@ -74,13 +76,13 @@ def gain_parameters(matrix: ArrayLike) -> FloatArray:
 
 
 def gain_jacobian(vectors: FloatArray) -> FloatArray:
-    """Return d(T v)/d(xx, yy, zz, xy, xz, yz), (N, 3, 6), for vectors v (N, 3)."""
-    jacobian = np.zeros((len(vectors), 3, 6))
-    x, y, z = vectors.T
-    jacobian[:, 0, 0], jacobian[:, 1, 1], jacobian[:, 2, 2] = x, y, z
-    jacobian[:, 0, 3], jacobian[:, 1, 3] = y, x
-    jacobian[:, 0, 4], jacobian[:, 2, 4] = z, x
-    jacobian[:, 1, 5], jacobian[:, 2, 5] = z, y
+    """Return d(T v)/d(xx, yy, zz, xy, xz, yz), (..., 3, 6), for vectors v (..., 3)."""
+    jacobian = np.zeros((*vectors.shape, 6))
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    jacobian[..., 0, 0], jacobian[..., 1, 1], jacobian[..., 2, 2] = x, y, z
+    jacobian[..., 0, 3], jacobian[..., 1, 3] = y, x
+    jacobian[..., 0, 4], jacobian[..., 2, 4] = z, x
+    jacobian[..., 1, 5], jacobian[..., 2, 5] = z, y
     return jacobian
 
 

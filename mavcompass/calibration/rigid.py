@@ -18,6 +18,7 @@ from mavcompass.calibration.model import (
     HEADINGS,
     HORIZONTAL,
     LAG,
+    LINEAR,
     MOTOR,
     OFFSET,
     VERTICAL,
@@ -46,6 +47,7 @@ _GAIN_SIGMA = 0.1
 _IN_FORCE_SIGMA = 0.016
 # Before the data: most compasses away from steel have no cross terms that matter.
 CROSS_TERMS_BEFORE = 0.25
+_AXES = np.eye(3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,25 +115,30 @@ class Readings:
         """Count the readings."""
         return len(self.mean_mgauss)
 
+    def linear(self, x: FloatArray, headings_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the residuals (..., K, 3) at headings (..., K), whatever those of the state.
+
+        And the derivative of the prediction by what is linear then, `model.LINEAR`, (..., K, 3, 12).
+        """
+        gain, load = gain_matrix(x[GAIN]), self.load[:, np.newaxis]
+        mapping = self.mapping + x[LAG] * self.by_lag
+        body = np.einsum("kij,...kj->...ki", mapping, level_field(headings_rad, x[HORIZONTAL], x[VERTICAL]))
+        by = np.empty((*body.shape, LINEAR.size))
+        by[..., :3], by[..., 3:9], by[..., 9:] = _AXES, gain_jacobian(body), load[:, np.newaxis] * _AXES
+        return self.mean_mgauss - (x[OFFSET] + body @ gain + load * x[MOTOR]), by
+
     def field(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residuals (K, 3) and the derivative of the prediction by the state, (K, 3, P)."""
         k = len(self)
         psi, h = x[HEADINGS:], x[HORIZONTAL]
-        gain = gain_matrix(x[GAIN])
-        mapping = self.mapping + x[LAG] * self.by_lag
-        cos, sin = np.cos(psi), np.sin(psi)
-        level = level_field(psi, h, x[VERTICAL])
-        body = np.einsum("kij,kj->ki", mapping, level)
-        load = self.load[:, np.newaxis]
-        residual = self.mean_mgauss - (x[OFFSET] + body @ gain + load * x[MOTOR])
         by = np.zeros((k, 3, x.size))
-        by[:, :, OFFSET] = np.eye(3)
-        by[:, :, GAIN] = gain_jacobian(body)
-        seen = gain @ mapping
+        residual, by[:, :, LINEAR] = self.linear(x, psi)
+        gain = gain_matrix(x[GAIN])
+        cos, sin = np.cos(psi), np.sin(psi)
+        seen = gain @ (self.mapping + x[LAG] * self.by_lag)
         by[:, :, HORIZONTAL] = seen[:, :, 0] * cos[:, np.newaxis] - seen[:, :, 1] * sin[:, np.newaxis]
         by[:, :, VERTICAL] = seen[:, :, 2]
-        by[:, :, MOTOR] = load[:, :, np.newaxis] * np.eye(3)
-        by[:, :, LAG] = np.einsum("kij,kj->ki", self.by_lag, level) @ gain
+        by[:, :, LAG] = np.einsum("kij,kj->ki", self.by_lag, level_field(psi, h, x[VERTICAL])) @ gain
         across = -h * (seen[:, :, 0] * sin[:, np.newaxis] + seen[:, :, 1] * cos[:, np.newaxis])
         by[np.arange(k), :, HEADINGS + np.arange(k)] = across
         return residual, by

@@ -28,7 +28,10 @@ def level_heading(field_mgauss: ArrayLike) -> Any:
 def level_field(heading_rad: ArrayLike, horizontal: ArrayLike, vertical: ArrayLike) -> FloatArray:
     """Return a field as a level vehicle sees it, (..., 3), forward, right, down, at magnetic headings."""
     psi, size = np.asarray(heading_rad, dtype=np.float64), np.asarray(horizontal, dtype=np.float64)
-    return np.stack(np.broadcast_arrays(size * np.cos(psi), -size * np.sin(psi), vertical), axis=-1)
+    ahead = size * np.cos(psi)
+    field = np.empty((*np.broadcast_shapes(ahead.shape, np.shape(vertical)), 3))
+    field[..., 0], field[..., 1], field[..., 2] = ahead, -size * np.sin(psi), vertical
+    return field
 
 
 def tilt_compensated_heading(

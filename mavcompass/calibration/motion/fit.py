@@ -18,6 +18,7 @@ from mavcompass.calibration.model import (
     GAIN,
     HEADINGS,
     HORIZONTAL,
+    LINEAR,
     MOTOR,
     OFFSET,
     VERTICAL,
@@ -51,8 +52,6 @@ _FEWEST = 4
 # With a larger error of the model there is nothing to refine.
 _HOPELESS_MGAUSS = 500.0
 _STARTS, _CLOSELY = 12, 11
-# What is linear in the state once the headings are given: offset, gain, motors.
-_LINEAR = np.r_[0:9, 13:16]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,11 +207,8 @@ def first_state(
     x[GAIN], x[HORIZONTAL], x[VERTICAL] = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0), horizontal, vertical
 
     def tried(starts_rad: FloatArray) -> FloatArray:
-        trials = []
-        for start in starts_rad:
-            x[HEADINGS:] = start + sections.turned_rad - sections.turned_rad[0]
-            trials.append(_linear(sections, x, rules, 0.1 * horizontal))
-        return min(trials, key=lambda trial: trial[1])[0]
+        headings = starts_rad[:, np.newaxis] + sections.turned_rad - sections.turned_rad[0]
+        return _likeliest(sections, x, headings, rules, 0.1 * horizontal)
 
     step = 2.0 * math.pi / _STARTS
     near = (
@@ -221,22 +217,31 @@ def first_state(
     return tried(np.concatenate([near, near + math.pi])), rules
 
 
-def _linear(sections: Sections, x: FloatArray, rules: PriorRows, noise: float) -> tuple[FloatArray, float]:
-    """Solve for the linear part at the headings of `x`, robustly; returns the state and its cost."""
-    x, weights, cost = x.copy(), np.ones(len(sections)), math.inf
-    residual, by = sections.field(x)
-    by, held = by[:, :, _LINEAR] / noise, rules.rows[:, _LINEAR]
-    residual = residual / noise
+def _likeliest(
+    sections: Sections, x: FloatArray, headings_rad: FloatArray, rules: PriorRows, noise: float
+) -> FloatArray:
+    """Solve for the linear part at several headings, (S, K), robustly; return the state of least cost."""
+    residual, by = sections.linear(x, headings_rad)
+    trials = len(headings_rad)
+    by, residual = by.reshape(trials, -1, LINEAR.size) / noise, residual.reshape(trials, -1) / noise
+    held, off = rules.rows[:, LINEAR], rules.of(x)
+    found, weights = np.zeros((trials, LINEAR.size)), np.ones(residual.shape)
     for _ in range(3):
-        weighed = (by * weights[:, np.newaxis, np.newaxis]).reshape(-1, _LINEAR.size)
-        normal = weighed.T @ by.reshape(-1, _LINEAR.size) + held.T @ held
-        step = np.linalg.solve(normal, weighed.T @ residual.ravel() - held.T @ rules.of(x))
-        x[_LINEAR] += step
-        residual = residual - by @ step
-        size = np.linalg.norm(residual, axis=1)
-        weights = 1.0 / np.maximum(1.0, size / max(2.0 * float(np.median(size)), 1e-6 / noise))
-        cost = float((weights * size**2).sum()) + float((rules.of(x) ** 2).sum())
-    return x, cost
+        weighed = np.swapaxes(by * weights[:, :, np.newaxis], 1, 2)
+        pull = (weighed @ residual[:, :, np.newaxis])[:, :, 0] - (off + found @ held.T) @ held
+        step = np.linalg.solve(weighed @ by + held.T @ held, pull[:, :, np.newaxis])
+        found += step[:, :, 0]
+        residual = residual - (by @ step)[:, :, 0]
+        size = np.linalg.norm(residual.reshape(trials, -1, 3), axis=2)
+        usual = np.maximum(2.0 * np.median(size, axis=1, keepdims=True), 1e-6 / noise)
+        trust = 1.0 / np.maximum(1.0, size / usual)
+        weights = np.repeat(trust, 3, axis=1)
+    cost = (trust * size**2).sum(axis=1) + ((off + found @ held.T) ** 2).sum(axis=1)
+    best = int(np.argmin(cost))
+    x = x.copy()
+    x[LINEAR] += found[best]
+    x[HEADINGS:] = headings_rad[best]
+    return x
 
 
 def leaning_error(sections: Sections, fit: MotionFit) -> FloatArray:
