@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import base64
 import json
 import shutil
@@ -9,6 +10,7 @@ import subprocess
 import tempfile
 import time
 from contextlib import ExitStack
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +28,8 @@ _OPTIONS = (
     "--disable-component-update",
     "--disable-sync",
     "--hide-scrollbars",
+    "--disable-backgrounding-occluded-windows",
+    "--disable-renderer-backgrounding",
     "--remote-debugging-port=0",
 )
 
@@ -38,25 +42,49 @@ def find_chromium() -> str | None:
     return next((path for name in PROGRAMS if (path := shutil.which(name))), None)
 
 
+@cache
+def _browser(program: str) -> str:
+    """Start a browser that ends with this process, and return the address of its DevTools."""
+    folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+    browser = subprocess.Popen(
+        [program, *_OPTIONS, f"--user-data-dir={folder.name}", "about:blank"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+
+    def end() -> None:
+        browser.terminate()
+        browser.wait(10.0)
+        folder.cleanup()
+
+    atexit.register(end)
+    told, patient_until = Path(folder.name) / "DevToolsActivePort", time.monotonic() + _PATIENCE_S
+    while time.monotonic() < patient_until:
+        if browser.poll() is not None:
+            raise RuntimeError("Chromium ended at once")
+        lines = told.read_text().split() if told.exists() else []
+        if len(lines) == 2:
+            return f"ws://127.0.0.1:{lines[0]}{lines[1]}"
+        time.sleep(0.05)
+    raise TimeoutError("Chromium did not open its DevTools port")
+
+
 class Page:
-    """One page in a browser of its own; `errors` are what the page's own programs complain about."""
+    """One page of somebody new to the browser; `errors` are what the page's own programs complain about."""
 
     def __init__(self, program: str, width: int, height: int) -> None:
-        self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
-        self._browser = subprocess.Popen(
-            [program, *_OPTIONS, f"--user-data-dir={self._folder.name}", "about:blank"],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
         self._number = 0
+        self._session: str | None = None
         self.errors: list[str] = []
         self._ending = ExitStack()
-        self._ending.callback(self._folder.cleanup)
-        self._ending.callback(self._end_browser)
-        self._socket = self._ending.enter_context(self._connect())
-        target = self._call("Target.createTarget", {"url": "about:blank"})["targetId"]
-        attached = self._call("Target.attachToTarget", {"targetId": target, "flatten": True})
-        self._session: str | None = attached["sessionId"]
+        wire = connect(_browser(program), max_size=None, compression=None)
+        self._socket = self._ending.enter_context(wire)
+        self._person = self._call("Target.createBrowserContext", {})["browserContextId"]
+        wanted = {"url": "about:blank", "browserContextId": self._person, "newWindow": True}
+        target = self._call("Target.createTarget", wanted)["targetId"]
+        self._session = self._call("Target.attachToTarget", {"targetId": target, "flatten": True})[
+            "sessionId"
+        ]
         for domain in ("Page", "Runtime", "Log"):
             self._call(f"{domain}.enable", {})
         self.show_on(width, height)
@@ -69,19 +97,6 @@ class Page:
         )
         scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
         self._call("Emulation.setEmulatedMedia", {"features": [scheme]})
-
-    def _connect(self) -> Any:
-        self._session = None
-        told = Path(self._folder.name) / "DevToolsActivePort"
-        end = time.monotonic() + _PATIENCE_S
-        while time.monotonic() < end:
-            if self._browser.poll() is not None:
-                raise RuntimeError("Chromium ended at once")
-            lines = told.read_text().split() if told.exists() else []
-            if len(lines) == 2:
-                return connect(f"ws://127.0.0.1:{lines[0]}{lines[1]}", max_size=None, compression=None)
-            time.sleep(0.05)
-        raise TimeoutError("Chromium did not open its DevTools port")
 
     def _call(self, method: str, parameters: dict[str, Any]) -> dict[str, Any]:
         self._number += 1
@@ -227,9 +242,7 @@ class Page:
         return {"captureBeyondViewport": True, "clip": clip}
 
     def close(self) -> None:
-        """End the browser."""
+        """End the page, and forget who looked at it."""
+        self._session = None
+        self._call("Target.disposeBrowserContext", {"browserContextId": self._person})
         self._ending.close()
-
-    def _end_browser(self) -> None:
-        self._browser.terminate()
-        self._browser.wait(10.0)
