@@ -76,7 +76,7 @@ def test_nobody_writes_while_another_process_calibrates(
     file = tmp_path / "wanted.param"
     file.write_text("COMPASS_OFS_X,77\n")
     vehicle = SimulatedAutopilot("rover", seed=3)
-    with serving(vehicle, speed=2.0) as (_, port):
+    with serving(vehicle, speed=6.0) as (_, port):
         source = f"tcp:127.0.0.1:{port}"
         words = ["-m", "mavcompass", "calibrate", source, "--dry-run"]
         calibrating = start_process(sys.executable, *words)
