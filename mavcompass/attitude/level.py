@@ -16,7 +16,6 @@ the sums. Variances are those of one axis.
 
 from __future__ import annotations
 
-import cmath
 import math
 from collections import deque
 
@@ -174,7 +173,7 @@ class Level:
         self._note_noise(acc_mps2, gyro_radps)
         self._time_s, self._acc, self._gyro = time_s, acc_mps2, gyro_radps
         b = self._bias
-        azimuth = cmath.phase(complex(self._x[0], self._y[0]))
+        azimuth = math.atan2(self._y[0], self._x[0])
         turn = ((gyro[0] - b.real) * step_s, (gyro[1] - b.imag) * step_s, gyro[2] * step_s)
         before = complex(self._x[0] + self._y[1], self._y[0] - self._x[1]) * 0.5
         self._turn_body(turn)
@@ -184,7 +183,7 @@ class Level:
         if abs(raw) < 0.02 and not drives:  # standing, or as good as: what drives may well turn as slowly
             self.bias_radps += min(step_s / 10.0, 1.0) * (raw - self.bias_radps)
         self.rate_radps = raw - self.bias_radps
-        turned = cmath.phase(complex(self._x[0], self._y[0])) - azimuth
+        turned = math.atan2(self._y[0], self._x[0]) - azimuth
         self.turned_rad += (turned + math.pi) % (2.0 * math.pi) - math.pi - self.bias_radps * step_s
         self._predict(step_s, acc, 0.5 * (before + after))
         self._look_still(step_s)
@@ -249,13 +248,15 @@ class Level:
 
     def _square(self, x: Vector, y: Vector) -> None:
         """Take two rows and make them a rotation's."""
-        length = math.sqrt(dot(x, x)) or 1.0
-        x = (x[0] / length, x[1] / length, x[2] / length)
-        along = dot(x, y)
-        y = (y[0] - along * x[0], y[1] - along * x[1], y[2] - along * x[2])
-        length = math.sqrt(dot(y, y)) or 1.0
-        self._x, self._y = x, (y[0] / length, y[1] / length, y[2] / length)
-        self.down = _cross(self._x, self._y)
+        (a, b, c), (d, e, f) = x, y
+        length = math.sqrt(a * a + b * b + c * c) or 1.0
+        a, b, c = a / length, b / length, c / length
+        along = a * d + b * e + c * f
+        d, e, f = d - along * a, e - along * b, f - along * c
+        length = math.sqrt(d * d + e * e + f * f) or 1.0
+        d, e, f = d / length, e / length, f / length
+        self._x, self._y = (a, b, c), (d, e, f)
+        self.down = (b * f - c * e, c * d - a * f, a * e - b * d)
 
     def _predict(self, step_s: float, acc: Vector, ahead: complex) -> None:
         push = complex(dot(self._x, acc), dot(self._y, acc))
@@ -309,8 +310,9 @@ class Level:
             column, h = _column(self._p, i), h.conjugate()
             v, t, b = v + h * column[_V], t + h * column[_TAU], b + h * column[_B]
             c, e = c + h * column[_C], e + h * column[_E]
-        row = (v, t, b, c, e)
-        foreseen = sum((h * row[i]).real for i, h in by)
+        row, foreseen = (v, t, b, c, e), 0.0
+        for i, h in by:
+            foreseen += (h * row[i]).real
         misfit = (off.real**2 + off.imag**2) / (2.0 * (foreseen + r))
         if adaptive:
             self._misfit += 0.05 * (min(misfit, _OUTLIER) - self._misfit)
@@ -398,9 +400,13 @@ def _cross(a: Vector, b: Vector) -> Vector:
 
 def _turned(row: Vector, turn: Vector, s: float, k: float) -> Vector:
     """Turn a row by Rodrigues' formula, with these two factors of the turn's cross product and its square."""
-    a = _cross(row, turn)
-    b = _cross(a, turn)
-    return (row[0] + s * a[0] + k * b[0], row[1] + s * a[1] + k * b[1], row[2] + s * a[2] + k * b[2])
+    (x, y, z), (p, q, r) = row, turn
+    a, b, c = y * r - z * q, z * p - x * r, x * q - y * p
+    return (
+        x + s * a + k * (b * r - c * q),
+        y + s * b + k * (c * p - a * r),
+        z + s * c + k * (a * q - b * p),
+    )
 
 
 def _middle(a: Vector, b: Vector) -> Vector:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mavcompass.cli.main import main
+from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.vehicle.calibrating import calibrate_on
@@ -23,24 +25,30 @@ def undo_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MAVCOMPASS_UNDO_DIR", str(tmp_path / "undo"))
 
 
+@cache
+def calibrated(seed: int) -> tuple[SimulatedLink, CalibrationReport, float, float]:
+    """A badly calibrated rover after a calibration, and its heading error before and after."""
+    link = SimulatedLink.of("rover", seed=seed)
+    before_deg = heading_error_rms_deg(link.autopilot)
+    report = calibrate_on(link, "sim:rover", WRITE)
+    return link, report, before_deg, heading_error_rms_deg(link.autopilot)
+
+
 # As many as wanted: scripts/campaigns/calibration.py.
 @pytest.mark.parametrize("seed", range(3))
 def test_a_badly_calibrated_rover_ends_within_half_a_degree(seed: int) -> None:
-    with SimulatedLink.of("rover", seed=seed) as link:
-        before = heading_error_rms_deg(link.autopilot)
-        report = calibrate_on(link, "sim:rover", WRITE)
-        after = heading_error_rms_deg(link.autopilot)
-    assert before >= 15.0
+    _, report, before_deg, after_deg = calibrated(seed)
+    assert before_deg >= 15.0
     assert report.written and report.proof is not None and report.proof.passed
-    assert after <= 0.5
+    assert after_deg <= 0.5
     assert report.duration_s <= 30.0
 
 
 def test_a_second_calibration_moves_the_offsets_by_less_than_two_milligauss() -> None:
-    with SimulatedLink.of("rover", seed=3) as link:
-        first, second = (calibrate_on(link, "sim:rover", WRITE).results[0] for _ in range(2))
-    moved = np.subtract(first.correction.offsets_mgauss, second.correction.offsets_mgauss)
-    assert np.abs(moved[:2]).max() < 2.0
+    link, first, *_ = calibrated(2)
+    second = calibrate_on(link, "sim:rover", WRITE)
+    offsets = [report.results[0].correction.offsets_mgauss for report in (first, second)]
+    assert np.abs(np.subtract(*offsets)[:2]).max() < 2.0
 
 
 # The other vehicles: tests/procedure/test_calibrate_vehicles.py.

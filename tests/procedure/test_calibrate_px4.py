@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import pytest
 from bent_vehicles import bent_vehicle, calibrated
 
 from mavcompass.frames import wrap_pi
 from mavcompass.procedure.motion import Permissions
+from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.signals import Reading, Signals
@@ -51,10 +53,20 @@ class Pilot(list[str]):
             self.vehicle.firmware.modes.enter("LAND")
 
 
-def test_on_the_ground_it_loads_the_calibration_that_disarming_has_overwritten(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def landed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Pilot, CalibrationReport]:
+    """A calibrated copter whose pilot has landed it; its parameters remember a sensor that is not there."""
     vehicle = bent_vehicle("px4-copter", seed=7)
+    vehicle.firmware.store.set("CAL_MAG3_ID", 99.0)
     pilot = Pilot(vehicle)
-    report = calibrated(vehicle, tmp_path, shown=pilot)
+    settings = CalibrateSettings(instances=(), writing="yes")
+    return pilot, calibrated(vehicle, tmp_path_factory.mktemp("undo"), settings, shown=pilot)
+
+
+def test_on_the_ground_it_loads_the_calibration_that_disarming_has_overwritten(
+    landed: tuple[Pilot, CalibrationReport],
+) -> None:
+    (pilot, report), vehicle = landed, landed[0].vehicle
     assert not vehicle.firmware.status.armed
     assert any("had put other values in place" in text for text in pilot)
     assert report.outcome is not None and report.heading is not None
@@ -85,13 +97,13 @@ def test_what_it_turned_unheard_is_no_part_of_the_proof(tmp_path: Path) -> None:
     assert abs(turn.gyro_turned_deg) > 30.0 and abs(turn.difference_deg) < 2.0 and turn.tolerance_deg < 5.0
 
 
-def test_a_sensor_that_only_its_parameters_remember_is_left_as_it_is(tmp_path: Path) -> None:
-    vehicle = bent_vehicle("px4-copter", seed=7)
-    vehicle.firmware.store.set("CAL_MAG3_ID", 99.0)
-    report = calibrated(vehicle, tmp_path, CalibrateSettings(instances=(), writing="yes"))
+def test_a_sensor_that_only_its_parameters_remember_is_left_as_it_is(
+    landed: tuple[Pilot, CalibrationReport],
+) -> None:
+    pilot, report = landed
     assert report.written and [r.instance for r in report.results] == [1, 2]
     assert "No readings of compass 4 came: its parameters stay as they are." in report.messages
-    assert vehicle.firmware.store.values["CAL_MAG3_ID"] == 99.0
+    assert pilot.vehicle.firmware.store.values["CAL_MAG3_ID"] == 99.0
 
 
 def test_one_that_flies_on_is_told_to_fly_by_the_old_calibration(tmp_path: Path) -> None:
