@@ -137,24 +137,23 @@ def tossed_about(late_s: float, lean_deg: float, iron_mgauss: float = 0.0) -> tu
 
     A compass is read ten times a second, some time late, and its reading repeated, as autopilots do.
     """
-    chance, step_s, yaw, rate = np.random.default_rng(7), 0.0125, 0.0, 0.0
+    chance, step_s, lean = np.random.default_rng(7), 0.0125, lean_deg * DEG
+    times = np.arange(int(90.0 / step_s)) * step_s
+    yaws = np.cumsum(np.repeat(chance.uniform(-2.5, 2.5, -(-times.size // 64)), 64)[: times.size] * step_s)
+    stood = euler_to_matrix(lean * np.sin(4.0 * times), lean * np.sin(3.1 * times + 1.0), yaws)
+    turned = np.swapaxes(np.concatenate([np.eye(3)[np.newaxis], stood[:-1]]), 1, 2) @ stood / step_s
+    # How each saw the Earth's field, felt gravity's force and turned.
+    fields, forces = stood.swapaxes(1, 2) @ WORLD.ned_mgauss, -1000.0 * stood[:, 2]
+    rates = 1e3 * turned[:, [2, 0, 1], [1, 2, 0]]
     seen = VehicleView(VehicleIdentity(1, 1, "ardupilot", "copter"), "key", 2026.0)
-    watch, said, gone, off = CompassWatch(WatchConfig()), set(), [], []
-    before, mag = np.eye(3), dict[str, int]()
-    for k in range(int(90.0 / step_s)):
-        t = k * step_s
-        rate = chance.uniform(-2.5, 2.5) if k % 64 == 0 else rate
-        yaw += rate * step_s
-        lean = lean_deg * DEG
-        now = euler_to_matrix(lean * math.sin(4.0 * t), lean * math.sin(3.1 * t + 1.0), yaw)
-        gyro = (before.T @ now)[[2, 0, 1], [1, 2, 0]] / step_s
-        before, gone = now, [*gone[-40:], now]
+    watch, said, off, mag = CompassWatch(WatchConfig()), set(), [], dict[str, int]()
+    for k, (t, yaw) in enumerate(zip(times.tolist(), yaws.tolist(), strict=True)):
         if k % 8 == 0:
-            field = gone[-1 - min(round(late_s / step_s), k)].T @ WORLD.ned_mgauss + (iron_mgauss, 0.0, 0.0)
+            field = fields[k - min(round(late_s / step_s), k)] + (iron_mgauss, 0.0, 0.0)
             mag = dict(zip(("xmag", "ymag", "zmag"), map(int, field), strict=True))
         if k % 2 == 0:
-            imu = dict(zip(("xacc", "yacc", "zacc"), map(int, now.T @ (0.0, 0.0, -1000.0)), strict=True))
-            imu |= dict(zip(("xgyro", "ygyro", "zgyro"), (int(1e3 * w) for w in gyro), strict=True))
+            imu = dict(zip(("xacc", "yacc", "zacc"), map(int, forces[k]), strict=True))
+            imu |= dict(zip(("xgyro", "ygyro", "zgyro"), map(int, rates[k]), strict=True))
             seen.hear(Incoming(t, 1, 1, RawImu(time_usec=int(t * 1e6), **imu, **mag)))
         if k % 8 == 5:
             seen.hear(Incoming(t, 1, 1, ScaledImu2(time_boot_ms=int(t * 1e3), **mag)))
