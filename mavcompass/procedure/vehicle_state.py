@@ -130,8 +130,14 @@ def _as_it_flies(context: Context, identity: VehicleIdentity) -> Script[VehicleI
         context.send(mav.CommandLong(context.system, context.component, MavCmd.REQUEST_MESSAGE, 0, number))
         told = yield from expect(context, mav.ExtendedSysState, timeout_s=_TOLD_WITHIN_S)
         if told is not None:
-            return replace(identity, kind="vtol") if told.vtol_state == MavVtolState.MC else identity
+            return replace(identity, kind=kind_now(identity.kind, told))
     return identity
+
+
+def kind_now(kind: Kind, told: mav.ExtendedSysState | None) -> Kind:
+    """Return what a vehicle is as it flies: a plane that its rotors hold is a vtol."""
+    held = told is not None and told.vtol_state == MavVtolState.MC
+    return "vtol" if kind == "plane" and held else kind
 
 
 def find_vehicles(

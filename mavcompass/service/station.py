@@ -273,6 +273,7 @@ def _wanted_rates(identity: VehicleIdentity, rate_hz: float) -> dict[type[mav.Me
         mav.GpsRawInt: 5.0,
         mav.SysStatus: 2.0,
         mav.SystemTime: 1.0,
+        **({mav.ExtendedSysState: 1.0} if identity.kind == "plane" else {}),
     }
 
 

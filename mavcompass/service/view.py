@@ -14,8 +14,9 @@ from mavcompass.compass_parameters import is_calibrated
 from mavcompass.earth_field import EarthField
 from mavcompass.heading.doubt import prior_sigma_rad
 from mavcompass.heading.live import Agreement, Heading, LiveCompass
+from mavcompass.kinds import Kind
 from mavcompass.messages import telemetry
-from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState
+from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState, kind_now
 from mavcompass.service.watch import Glance
 from mavcompass.steering import compasses_of
 from mavcompass.vehicle.dialects import make_dialect
@@ -60,6 +61,11 @@ class VehicleView:
         """Begin to keep its level."""
         self.level = Level(self.identity.kind)
 
+    @property
+    def kind(self) -> Kind:
+        """Return what the vehicle is as it flies now."""
+        return kind_now(self.identity.kind, self.state.landed)
+
     def hear(self, heard: mav.Incoming) -> Heading | None:
         """Take one message; the heading, where it brought one."""
         message = heard.message
@@ -73,7 +79,7 @@ class VehicleView:
         hear(self.level, message)
         if kind is mav.GlobalPositionInt:
             self._look_up_world(message)  # type: ignore[arg-type]
-        elif kind is mav.GpsRawInt:
+        elif kind is mav.GpsRawInt and self.kind != "vtol":  # which goes any way, while its rotors hold it
             for compass in self.compasses.values():
                 compass.hear_receiver(message)  # type: ignore[arg-type]
         return None
@@ -209,7 +215,7 @@ class VehicleView:
             bias_radps=self.level.bias_radps,
             stands=not self.state.armed and self.level.is_still,
             tilt_sigma_rad=self.level.sigma_rad,
-            kind=self.identity.kind,
+            kind=self.kind,
             course_rad=course_rad,
             speed_mps=speed_mps,
             current_a=battery.current_battery * 0.01 if measured and battery is not None else None,

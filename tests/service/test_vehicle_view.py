@@ -12,7 +12,9 @@ import pytest
 from mavcompass import messages as mav
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import IDENTITY
+from mavcompass.enums import MavVtolState
 from mavcompass.heading.doubt import prior_sigma_rad
+from mavcompass.kinds import Kind
 from mavcompass.procedure.vehicle_state import VehicleIdentity
 from mavcompass.service.view import VehicleView
 
@@ -20,8 +22,8 @@ FIELD: dict[str, Any] = {"xmag": 200, "ymag": 0, "zmag": 400, "zacc": -1000}
 ZURICH = mav.GlobalPositionInt(lat=473_977_000, lon=85_456_000, alt=488_000)
 
 
-def view(autopilot: str = "ardupilot") -> VehicleView:
-    return VehicleView(VehicleIdentity(1, 1, autopilot, "rover"), "key", 2026.0)
+def view(autopilot: str = "ardupilot", kind: Kind = "rover") -> VehicleView:
+    return VehicleView(VehicleIdentity(1, 1, autopilot, kind), "key", 2026.0)
 
 
 def heard(message: mav.Message, time_s: float = 0.0) -> mav.Incoming:
@@ -167,3 +169,22 @@ def test_a_current_is_known_where_it_is_measured(told: int, current_a: float | N
     seen = view()
     seen.hear(heard(mav.SysStatus(current_battery=told)))
     assert seen.glance(0.0).current_a == pytest.approx(current_a)
+
+
+@pytest.mark.parametrize(
+    ("kind", "state", "is_now", "fixes"),
+    [
+        ("plane", MavVtolState.FW, "plane", 1),
+        ("plane", MavVtolState.MC, "vtol", 0),
+        ("rover", MavVtolState.UNDEFINED, "rover", 1),
+    ],
+)
+def test_a_plane_that_its_rotors_hold_goes_any_way(
+    kind: Kind, state: MavVtolState, is_now: str, fixes: int
+) -> None:
+    seen = view(kind=kind)
+    seen.hear(heard(mav.RawImu(time_usec=5_000_000, **FIELD)))
+    seen.hear(heard(mav.ExtendedSysState(state)))
+    seen.hear(heard(mav.GpsRawInt(fix_type=3, cog=9000, vel=1500)))
+    assert (seen.kind, seen.glance(0.0).kind) == (is_now, is_now)
+    assert seen.compasses[1].fixes.numbers == (0, fixes)
