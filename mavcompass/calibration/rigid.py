@@ -120,9 +120,13 @@ class Readings:
 
         And the derivative of the prediction by what is linear then, `model.LINEAR`, (..., K, 3, 12).
         """
-        gain, load = gain_matrix(x[GAIN]), self.load[:, np.newaxis]
-        mapping = self.mapping + x[LAG] * self.by_lag
-        body = np.einsum("kij,...kj->...ki", mapping, level_field(headings_rad, x[HORIZONTAL], x[VERTICAL]))
+        gain, mapping = gain_matrix(x[GAIN]), self.mapping + x[LAG] * self.by_lag
+        return self._linear(x, gain, mapping, level_field(headings_rad, x[HORIZONTAL], x[VERTICAL]))
+
+    def _linear(
+        self, x: FloatArray, gain: FloatArray, mapping: FloatArray, level: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        load, body = self.load[:, np.newaxis], np.einsum("kij,...kj->...ki", mapping, level)
         by = np.empty((*body.shape, LINEAR.size))
         by[..., :3], by[..., 3:9], by[..., 9:] = _AXES, gain_jacobian(body), load[:, np.newaxis] * _AXES
         return self.mean_mgauss - (x[OFFSET] + body @ gain + load * x[MOTOR]), by
@@ -131,14 +135,15 @@ class Readings:
         """Return the residuals (K, 3) and the derivative of the prediction by the state, (K, 3, P)."""
         k = len(self)
         psi, h = x[HEADINGS:], x[HORIZONTAL]
+        gain, mapping = gain_matrix(x[GAIN]), self.mapping + x[LAG] * self.by_lag
+        level = level_field(psi, h, x[VERTICAL])
+        residual, linear = self._linear(x, gain, mapping, level)
         by = np.zeros((k, 3, x.size))
-        residual, by[:, :, LINEAR] = self.linear(x, psi)
-        gain = gain_matrix(x[GAIN])
-        cos, sin = np.cos(psi), np.sin(psi)
-        seen = gain @ (self.mapping + x[LAG] * self.by_lag)
+        by[:, :, : GAIN.stop], by[:, :, MOTOR] = linear[:, :, : GAIN.stop], linear[:, :, GAIN.stop :]
+        cos, sin, seen = np.cos(psi), np.sin(psi), gain @ mapping
         by[:, :, HORIZONTAL] = seen[:, :, 0] * cos[:, np.newaxis] - seen[:, :, 1] * sin[:, np.newaxis]
         by[:, :, VERTICAL] = seen[:, :, 2]
-        by[:, :, LAG] = np.einsum("kij,kj->ki", self.by_lag, level_field(psi, h, x[VERTICAL])) @ gain
+        by[:, :, LAG] = np.einsum("kij,kj->ki", self.by_lag, level) @ gain
         across = -h * (seen[:, :, 0] * sin[:, np.newaxis] + seen[:, :, 1] * cos[:, np.newaxis])
         by[np.arange(k), :, HEADINGS + np.arange(k)] = across
         return residual, by
@@ -253,7 +258,7 @@ def settle(
     Where the weights depend on the state, few `steps` at a time save settling what will be weighed anew.
     """
     values, jacobian = assembled(readings, x, roots, rules)
-    damping = _DAMPING
+    damping, diagonal = _DAMPING, np.diag_indices(x.size)
     for _ in range(steps):
         scale = 1.0 / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)
         scaled = jacobian * scale
@@ -261,7 +266,9 @@ def settle(
         # Not worse than by what settles nothing more: the last digits of a minimum are noise.
         cost = float(values @ values) * (1.0 + 0.1 * _SETTLED_SHARE)
         while True:
-            step = np.linalg.solve(normal + damping * np.eye(x.size), downhill)
+            damped = normal.copy()
+            damped[diagonal] += damping
+            step = np.linalg.solve(damped, downhill)
             trial = x + scale * step
             values, jacobian = assembled(readings, trial, roots, rules)
             if float(values @ values) <= cost or damping > _MOST_DAMPING:
