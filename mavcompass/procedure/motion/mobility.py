@@ -102,9 +102,10 @@ class Mobility:
             kind, autopilot, self._is_ackermann(parameters), self.turn_by, self._modes
         )
         if not strategies:
+            how = f"turns itself on the spot{turned_otherwise(kind, autopilot)}"
             raise Refused(
-                f"There is no known way in which this {autopilot} {kind} turns itself on the spot.",
-                turned_otherwise(kind, autopilot),
+                f"There is no known way in which this {autopilot} {kind} {how}.",
+                "Disarm it and turn it by hand with --motion hand.",
             )
         return strategies
 

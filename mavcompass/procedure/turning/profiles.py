@@ -109,11 +109,10 @@ def strategies_for(
 
 
 def turned_otherwise(kind: str, autopilot: str) -> str:
-    """Say what to do where a vehicle does not turn itself by targets."""
+    """Say what else turns a vehicle that does not turn itself by targets; "" where that is only a person."""
     if strategies_for(kind, autopilot, by="manual-control"):
-        return "Allow turning it by the pilot's controls: --turn-by manual-control."
-    hover = "If it can hover, let it (ArduPilot: QLOITER). Else d" if kind == "plane" else "D"
-    return f"{hover}isarm it and turn it by hand with --motion hand."
+        return "; the pilot's controls do, where you allow that: --turn-by manual-control"
+    return ", unless it can hover, and does (ArduPilot: QLOITER)" if kind == "plane" else ""
 
 
 def _strategy(way: TurnWay, modes: ModeKeeper | None) -> TurnStrategy:
