@@ -18,7 +18,7 @@ LINES = {
     "package service": (5_550, 4_100),
     "package logs": (4_480, 3_600),
     "package cli": (4_090, 2_900),
-    "package": (66_870, 46_500),
+    "package": (66_880, 46_500),
     "tests": (44_230, 29_000),
     "scripts": (8_810, 4_400),
 }

@@ -274,7 +274,7 @@ def situations(free: int) -> Iterator[Situation]:
 
 def drawn(vehicles: int, most_effects: int) -> Iterator[Situation]:
     """Yield vehicles of every kind that turns itself, as they come or with effects of typical size."""
-    kinds = sorted(set(PROFILES) - {"plane"})
+    kinds = sorted(name for name, kind in PROFILES.items() if kind.takes_targets)
     for seed in range(vehicles):
         rng = random.Random(f"drawn {seed} {most_effects}")
         kind, effects = (

@@ -109,7 +109,8 @@ def main() -> int:
         "  positions  vehicle s median"
     )
     table = {}
-    for kind, quality in itertools.product(wanted.vehicle or PROFILES, wanted.quality or ("clean",)):
+    kinds = wanted.vehicle or [name for name, kind in PROFILES.items() if kind.takes_targets]
+    for kind, quality in itertools.product(kinds, wanted.quality or ("clean",)):
         seeds = range(wanted.first_seed, wanted.first_seed + wanted.seeds)
         one = partial(run, kind=kind, share=wanted.share, quality=quality)
         table[f"{kind}, {quality}"] = runs = [*tried(one, seeds, workers=wanted.workers)]

@@ -91,6 +91,11 @@ class VehicleProfile:
         return self.hover_m != 0.0
 
     @property
+    def takes_targets(self) -> bool:
+        """Tell whether it turns on the spot when told to: ArduPilot's quadplanes by sticks alone."""
+        return self.firmware != "plane"
+
+    @property
     def vtol_state(self) -> MavVtolState:
         """Tell what EXTENDED_SYS_STATE says of it: what has wings is simulated on its rotors alone."""
         return MavVtolState.MC if VEHICLES[self.mav_type] == "plane" else MavVtolState.UNDEFINED
