@@ -134,7 +134,10 @@ def test_what_is_not_safe_or_cannot_be_is_refused(wishes: dict[str, str], armed:
 def test_what_nobody_knows_how_to_turn_is_refused() -> None:
     error = Charge("plane").taken().error
     assert isinstance(error, Refused)
-    assert error.what == "There is no known way in which this ardupilot plane turns itself on the spot."
+    assert error.what == (
+        "There is no known way in which this ardupilot plane turns itself on the spot, unless it can hover,"
+        " and does (ArduPilot: QLOITER)."
+    )
 
 
 @pytest.mark.parametrize(
