@@ -14,7 +14,7 @@ LINES = {
     "package simulation": (7_860, 5_800),
     "package attitude calibration heading": (9_530, 5_400),
     "package vehicle messages enums.py": (7_740, 5_200),
-    "package procedure": (6_410, 4_400),
+    "package procedure": (6_420, 4_400),
     "package service": (5_550, 4_100),
     "package logs": (4_480, 3_600),
     "package cli": (4_090, 2_900),

@@ -20,6 +20,7 @@ import math
 from collections import deque
 
 from mavcompass.gravity import is_gravity
+from mavcompass.kinds import HOVERING
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 Vector = tuple[float, float, float]
@@ -37,7 +38,7 @@ UPHELD = ON_THE_GROUND | {"sub", "unknown"}
 # Of one velocity of a satellite receiver; its error lasts for about a second. And its delay.
 RECEIVER_SIGMA_MPS, _RECEIVER_MEMORY_S, RECEIVER_LAG_S = 0.1, 1.0, 0.11
 # Where nothing measures the velocity: what a hovering copter, a hand and what drives do.
-_BOUND_MPS = {"copter": 1.0, "vtol": 1.0, "unknown": 0.5}
+_BOUND_MPS: dict[str, float] = {**dict.fromkeys(HOVERING, 1.0), "unknown": 0.5}
 _DRIVEN_MPS, _BOUND_EVERY_S = 3.0, 1.0
 _SPEED_KNOWN_S = 2.0
 # Of the first reading taken for gravity, and of a gyro's bias as autopilots leave it.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from mavcompass import messages as mav
@@ -176,9 +177,14 @@ def _call(context: Context, system: int | None, timeout_s: float, others_within_
 
 def metres_from(start: mav.GlobalPositionInt, place: mav.GlobalPositionInt) -> tuple[float, float]:
     """Return how far north and east of a start a near place is, metres."""
-    east_deg = ((place.lon - start.lon) * 1e-7 + 180.0) % 360.0 - 180.0  # the date line may lie between
-    east_m = east_deg * _M_PER_DEG * math.cos(math.radians(start.lat * 1e-7))
-    return (place.lat - start.lat) * 1e-7 * _M_PER_DEG, east_m
+    return metres_apart((start.lat * 1e-7, start.lon * 1e-7), (place.lat * 1e-7, place.lon * 1e-7))
+
+
+def metres_apart(start_deg: Sequence[float], place_deg: Sequence[float]) -> tuple[float, float]:
+    """Return the same of latitudes and longitudes, degrees; what stands behind them does not count."""
+    east_deg = (place_deg[1] - start_deg[1] + 180.0) % 360.0 - 180.0  # the date line may lie between
+    east_m = east_deg * _M_PER_DEG * math.cos(math.radians(start_deg[0]))
+    return (place_deg[0] - start_deg[0]) * _M_PER_DEG, east_m
 
 
 def _on_earth(told: mav.GlobalPositionInt | mav.GpsRawInt) -> bool:

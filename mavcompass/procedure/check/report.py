@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from mavcompass.kinds import HOVERING
 from mavcompass.printable import counted, named
 from mavcompass.procedure.check import items
 from mavcompass.procedure.check.items import CheckItem, Verdict
@@ -12,7 +13,7 @@ from mavcompass.procedure.turning import strategies_for
 from mavcompass.procedure.vehicle_state import VehicleIdentity
 
 SCHEMA = "mavcompass.check/1"
-_GOES = {"copter": "fly", "vtol": "fly", "plane": "fly", "sub": "dive", "boat": "sail"}
+_GOES: dict[str, str] = {**dict.fromkeys(HOVERING, "fly"), "plane": "fly", "sub": "dive", "boat": "sail"}
 
 
 def _is_calibration(item: CheckItem) -> bool:

@@ -23,8 +23,7 @@ _LONGEST_STEP_S = 0.2
 _CENTRED: dict[Kind, tuple[int, ...]] = {
     "rover": (1,),
     "boat": (1,),
-    "copter": (1, 2, 4),
-    "vtol": (1, 2, 4),
+    **dict.fromkeys(HOVERING, (1, 2, 4)),
     "sub": (4,),
 }
 _CENTRE_US, _HELD_US = 1500, 150

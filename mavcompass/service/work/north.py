@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import logging
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from mavcompass.files import read_text
 from mavcompass.frames import wrap_pi
 from mavcompass.heading.true_north import NorthLearner, NorthSeen, TrueNorth
 from mavcompass.installation.private_files import write_private
+from mavcompass.procedure.vehicle_state import metres_apart
 from mavcompass.service.view import VehicleView
 from mavcompass.service.work.clock import utc_now
 from mavcompass.vehicle.dialects import make_dialect
@@ -29,7 +30,6 @@ _log = logging.getLogger(__name__)
 
 # What ten minutes' driving goes about, and the rocks' distance. Each drive is a row; so many are kept.
 _SAME_KM, _ROCKS_KM, _MOST_ROWS = 1.0, 10.0, 1000
-_KM_PER_DEG = 111.2
 
 
 class NorthKeeper:
@@ -61,7 +61,8 @@ class NorthKeeper:
         fresh = [self._take(about, compass.fixes, where[:2], one, world) for one in now.learnt]
         if any(fresh):
             self._save()
-        rows = [(row["seen"], _km(row["at"], where)) for row in self._rows if row["about"] == about]
+        here = [row for row in self._rows if row["about"] == about]
+        rows = [(row["seen"], 1e-3 * math.hypot(*metres_apart(row["at"], where))) for row in here]
         compass.set_north((*joined(rows, world), *now.doubted))
 
     def _take(
@@ -105,9 +106,3 @@ def joined(rows: Iterable[tuple[NorthSeen, float]], world: EarthField) -> list[N
         steady, seconds = max(row.steady_rad for row, _ in some), sum(row.seconds for row, _ in some)
         found.append(NorthSeen(name, float(wrap_pi(world.declination_rad + mean)), chance, steady, seconds))
     return found
-
-
-def _km(one: Sequence[float], other: Sequence[float]) -> float:
-    """Return the distance of two places, latitude and longitude, degrees, that are near each other."""
-    east_deg = math.degrees(wrap_pi(math.radians(one[1] - other[1])))
-    return _KM_PER_DEG * math.hypot(one[0] - other[0], east_deg * math.cos(math.radians(one[0])))

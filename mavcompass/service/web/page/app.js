@@ -198,13 +198,13 @@ function showNow() {
   const degrees = heading.true_deg ?? heading.magnetic_deg;
   // A course is true: beside a magnetic heading it would say nothing.
   const course = heading.true_deg === null ? null : now.course_deg;
-  rose.show(degrees, heading.true_sigma_deg ?? heading.sigma_deg, course);
+  const sigma = heading.true_sigma_deg ?? heading.sigma_deg;
+  rose.show(degrees, sigma, course);
   $("moving").hidden = course === null;
   $("course").textContent = `${course?.toFixed(1)}°`;
   field.show(heading, page.world);
   $("heading").textContent = String(Math.round(degrees) % 360).padStart(3, "0");
   $("north").textContent = heading.true_deg === null ? "magnetic" : "true";
-  const sigma = heading.true_sigma_deg ?? heading.sigma_deg;
   $("sigma").textContent = sigma.toFixed(sigma < 10 ? 1 : 0);
   const north = page.vehicle?.compasses.find((c) => c.instance === heading.instance)?.true_north;
   $("rests-on").textContent = north?.learnt_by.length ? north.rests_on : "";
