@@ -19,11 +19,11 @@ from __future__ import annotations
 import math
 from collections import deque
 
+from mavcompass.attitude.vectors import Vector, bend2, cross, dot, middle, squared, turn_row
 from mavcompass.gravity import is_gravity
 from mavcompass.kinds import HOVERING
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
-Vector = tuple[float, float, float]
 # The upper triangle of the covariance, row by row; the lower one is its conjugate.
 Covariance = tuple[complex, ...]
 
@@ -38,13 +38,15 @@ UPHELD = ON_THE_GROUND | {"sub", "unknown"}
 # Of one velocity of a satellite receiver; its error lasts for about a second. And its delay.
 RECEIVER_SIGMA_MPS, _RECEIVER_MEMORY_S, RECEIVER_LAG_S = 0.1, 1.0, 0.11
 # Where nothing measures the velocity: what a hovering copter, a hand and what drives do.
-_BOUND_MPS: dict[str, float] = {**dict.fromkeys(HOVERING, 1.0), "unknown": 0.5}
+_BOUND_MPS: dict[str, float] = {**dict.fromkeys(HOVERING, 1.0), "unknown": 0.5, "plane": 25.0}
 _DRIVEN_MPS, _BOUND_EVERY_S = 3.0, 1.0
 _SPEED_KNOWN_S = 2.0
 # Of the first reading taken for gravity, and of a gyro's bias as autopilots leave it.
 _TILT_SIGMA_RAD, BIAS_SIGMA_RADPS = math.radians(8.0), math.radians(0.2)
 # Of roll and pitch where nothing tells them: a component of a unit vector drawn by chance.
 UNKNOWN_RAD = 1.0 / math.sqrt(3.0)
+# What flies in bends feels its floor, not what is down. And what is known no better is not linear.
+_GUESS_RAD, _LINEAR_RAD = {"plane": UNKNOWN_RAD}, math.radians(4.0)
 # What (L1) leaves out: sensors that are not quite square to each other.
 FLOOR_RAD = math.radians(0.05)
 # What whole numbers of a wire, cut toward zero, hide of a rate about zero is like a bias that comes and goes
@@ -88,11 +90,12 @@ class Level:
         self._longest_step_s = longest_step_s
         self._upheld = vehicle in UPHELD
         self._bound_mps = _BOUND_MPS.get(vehicle, _DRIVEN_MPS)
+        self._guess_rad = _GUESS_RAD.get(vehicle, _TILT_SIGMA_RAD)
         self.restart()
 
     def restart(self) -> None:
         """Begin anew after a silence or a reboot: the direction of then says nothing of now."""
-        self._time_s = self._speed_s = self._bounded_s = -math.inf
+        self._time_s = self._speed_s = self._unbound_s = -math.inf
         self._still_s, self._drives = 0.0, False
         # Rows of the rotation from the body to the frame.
         self._x: Vector = (1.0, 0.0, 0.0)
@@ -170,7 +173,7 @@ class Level:
             return
         if not self._past or self._time_s - self._past[-1][0] > _KEPT_EVERY_S:
             self._past.append((self._time_s, self.down, self.turned_rad))
-        acc, gyro = _middle(self._acc, acc_mps2), _middle(self._gyro, gyro_radps)
+        acc, gyro = middle(self._acc, acc_mps2), middle(self._gyro, gyro_radps)
         self._note_noise(acc_mps2, gyro_radps)
         self._time_s, self._acc, self._gyro = time_s, acc_mps2, gyro_radps
         b = self._bias
@@ -188,8 +191,8 @@ class Level:
         self.turned_rad += (turned + math.pi) % (2.0 * math.pi) - math.pi - self.bias_radps * step_s
         self._predict(step_s, acc, 0.5 * (before + after))
         self._look_still(step_s)
-        if time_s - self._speed_s > _SPEED_KNOWN_S and time_s - self._bounded_s > _BOUND_EVERY_S:
-            self._bounded_s = time_s
+        if time_s - self._speed_s > _SPEED_KNOWN_S and time_s > self._unbound_s:
+            self._unbound_s = time_s + _BOUND_EVERY_S
             self._correct(((_V, 1.0),), -self._v, self._bound_mps**2)
 
     def hear_velocity(self, moment_s: float, north_mps: float, east_mps: float) -> None:
@@ -216,11 +219,14 @@ class Level:
             return
         cp = math.cos(pitch_rad)
         d = (-math.sin(pitch_rad), cp * math.sin(roll_rad), cp * math.cos(roll_rad))
-        turned = _cross(d, self._gyro)
+        turned = cross(d, self._gyro)
         d = (d[0] + later_s * turned[0], d[1] + later_s * turned[1], d[2] + later_s * turned[2])
+        r = _ESTIMATOR_NOISE_RAD**2 + dot(turned, turned) * _ESTIMATOR_LATE_S**2
+        if self._p[_TAU_TAU].real > _LINEAR_RAD**2:
+            self._stand(d, ESTIMATOR_SIGMA_RAD**2 + r, -(ESTIMATOR_SIGMA_RAD**2))
+            return
         away = complex(dot(self._x, d), dot(self._y, d))
-        late2 = dot(turned, turned) * _ESTIMATOR_LATE_S**2
-        self._correct(((_TAU, 1.0), (_E, 1.0)), -1j * away - self._e, _ESTIMATOR_NOISE_RAD**2 + late2)
+        self._correct(((_TAU, 1.0), (_E, 1.0)), -1j * away - self._e, r)
 
     # --- the filter ---------------------------------------------------------------------------------
 
@@ -231,33 +237,29 @@ class Level:
         self._bias, self._p = bias, _uncorrelated(known2)
         self.turned_rad, self.bias_radps = turned, biased
         self._time_s, self._acc, self._gyro = time_s, acc, gyro
+        self._unbound_s = time_s + _SPEED_KNOWN_S  # a receiver may be about to speak
         norm = math.sqrt(dot(acc, acc))
         self._g_mps2 = g + known * (norm - g)
         down = (0.0, 0.0, 1.0) if norm < 1.0 else (-acc[0] / norm, -acc[1] / norm, -acc[2] / norm)
+        self._stand(down, self._guess_rad**2)
+
+    def _stand(self, down: Vector, tau2: float, tau_e: float = 0.0) -> None:
+        """Lay the frame anew, this way being down; of what else (L1) has nothing is known but the bias."""
         axis = (1.0, 0.0, 0.0) if abs(down[0]) < 0.9 else (0.0, 1.0, 0.0)
-        side = _cross(down, axis)
+        side = cross(down, axis)
         length = math.sqrt(dot(side, side))
         self._y = (side[0] / length, side[1] / length, side[2] / length)
-        self._x, self.down = _cross(self._y, down), down
-        self.rate_radps = dot(gyro, down) - self.bias_radps
+        self._x, self.down = cross(self._y, down), down
+        self.rate_radps = dot(self._gyro, down) - self.bias_radps
+        self._v = self._c = self._e = 0.0 + 0.0j
+        self._pushed = self._slow = complex(dot(self._x, self._acc), dot(self._y, self._acc))
+        self._p = _uncorrelated(self._p[_B_B], tau2, tau_e)
 
     def _turn_body(self, turn: Vector) -> None:
         """Turn the frame's rows by a small rotation of the body, in body axes."""
         angle2 = dot(turn, turn)
         s, k = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
-        self._square(_turned(self._x, turn, s, k), _turned(self._y, turn, s, k))
-
-    def _square(self, x: Vector, y: Vector) -> None:
-        """Take two rows and make them a rotation's."""
-        (a, b, c), (d, e, f) = x, y
-        length = math.sqrt(a * a + b * b + c * c) or 1.0
-        a, b, c = a / length, b / length, c / length
-        along = a * d + b * e + c * f
-        d, e, f = d - along * a, e - along * b, f - along * c
-        length = math.sqrt(d * d + e * e + f * f) or 1.0
-        d, e, f = d / length, e / length, f / length
-        self._x, self._y = (a, b, c), (d, e, f)
-        self.down = (b * f - c * e, c * d - a * f, a * e - b * d)
+        self._x, self._y, self.down = squared(turn_row(self._x, turn, s, k), turn_row(self._y, turn, s, k))
 
     def _predict(self, step_s: float, acc: Vector, ahead: complex) -> None:
         push = complex(dot(self._x, acc), dot(self._y, acc))
@@ -342,7 +344,7 @@ class Level:
         # R -> (1 + [phi]x) R, phi = (tau', tau'', 0): rows x += phi_y z, y -= phi_x z.
         p1, p2 = tau.real, tau.imag
         d = self.down
-        self._square(
+        self._x, self._y, self.down = squared(
             (x[0] + p2 * d[0], x[1] + p2 * d[1], x[2] + p2 * d[2]),
             (y[0] - p1 * d[0], y[1] - p1 * d[1], y[2] - p1 * d[2]),
         )
@@ -369,15 +371,15 @@ class Level:
         if len(self._gone) < 3:
             return
         (a, v), (b, w), (c, x) = self._gone
-        force2, rate2 = _bend2(a, b, c, acc) / 20.0, _bend2(v, w, x, gyro) / 20.0
+        force2, rate2 = bend2(a, b, c, acc) / 20.0, bend2(v, w, x, gyro) / 20.0
         self._force2 = max(_calmer(self._force2, force2), _LEAST_FORCE2)
         self._rate2 = max(_calmer(self._rate2, rate2), _LEAST_RATE2)
 
 
-def _uncorrelated(bias2: complex) -> Covariance:
-    """Return what is known at the start, with this variance of the gyro's bias."""
-    tau2, e2, no = _TILT_SIGMA_RAD**2, ESTIMATOR_SIGMA_RAD**2, 0.0 + 0.0j
-    return (30.0**2, no, no, no, no, tau2, no, no, no, bias2, no, no, 1.0, no, e2)
+def _uncorrelated(bias2: complex, tau2: float = UNKNOWN_RAD**2, tau_e: float = 0.0) -> Covariance:
+    """Return what is known at a start, with this of the gyro's bias, of the lean, and of it with e."""
+    e2, no = ESTIMATOR_SIGMA_RAD**2, 0.0 + 0.0j
+    return (30.0**2, no, no, no, no, tau2, no, no, tau_e, bias2, no, no, 1.0, no, e2)
 
 
 def _column(p: Covariance, i: int) -> tuple[complex, ...]:
@@ -390,37 +392,6 @@ def _column(p: Covariance, i: int) -> tuple[complex, ...]:
     return (vc, tc, bc, cc, ce.conjugate()) if i == _C else (ve, te, be, ce, ee)
 
 
-def dot(a: Vector, b: Vector) -> float:
-    """Return the product of two vectors."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _cross(a: Vector, b: Vector) -> Vector:
-    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
-
-
-def _turned(row: Vector, turn: Vector, s: float, k: float) -> Vector:
-    """Turn a row by Rodrigues' formula, with these two factors of the turn's cross product and its square."""
-    (x, y, z), (p, q, r) = row, turn
-    a, b, c = y * r - z * q, z * p - x * r, x * q - y * p
-    return (
-        x + s * a + k * (b * r - c * q),
-        y + s * b + k * (c * p - a * r),
-        z + s * c + k * (a * q - b * p),
-    )
-
-
-def _middle(a: Vector, b: Vector) -> Vector:
-    return (0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2]))
-
-
 def _calmer(noise2: float, seen2: float) -> float:
     """Follow the variance that the calmer fourth of what is seen has: the rest is motion."""
     return noise2 * (1.02 if seen2 > _FOURTH * noise2 else 0.94)
-
-
-def _bend2(a: Vector, b: Vector, c: Vector, d: Vector) -> float:
-    """Return the mean square of the third difference over x and y."""
-    x = a[0] - 3.0 * (b[0] - c[0]) - d[0]
-    y = a[1] - 3.0 * (b[1] - c[1]) - d[1]
-    return 0.5 * (x * x + y * y)

@@ -15,7 +15,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from mavcompass import messages as mav
-from mavcompass.attitude.level import Level, Vector, dot
+from mavcompass.attitude.level import Level
+from mavcompass.attitude.vectors import Vector, dot
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray

@@ -152,6 +152,32 @@ def test_message_by_message_a_rover_that_weaves_is_level(says: tuple[str, ...]) 
     assert math.sqrt((error**2 / sigma**2).mean()) < 1.8
 
 
+@pytest.mark.parametrize(
+    ("bank_deg", "attitude", "velocity"),
+    [(30.0, True, True), (60.0, True, True), (60.0, True, False), (30.0, False, True), (45.0, False, False)],
+)
+def test_begun_in_a_bend_it_claims_no_more_than_it_knows(
+    bank_deg: float, attitude: bool, velocity: bool
+) -> None:
+    bank, speed_mps, level = bank_deg * DEG, 20.0, Level("plane")
+    turn_radps = G * math.tan(bank) / speed_mps  # a coordinated turn: what is felt lies along body z
+    floor: Vector = (0.0, 0.0, -G / math.cos(bank))
+    rate: Vector = (0.0, turn_radps * math.sin(bank), turn_radps * math.cos(bank))
+    down, ratio = np.array([0.0, math.sin(bank), math.cos(bank)]), []
+    for k in range(600):
+        time_s = 0.05 * k
+        level.update(time_s, floor, rate)
+        if attitude and k % 2 == 0 and k > 2:
+            level.hear_attitude(time_s, bank, 0.0)
+        if velocity and k % 4 == 0:
+            course = turn_radps * (time_s - 0.2)
+            level.hear_velocity(time_s - 0.2, speed_mps * math.cos(course), speed_mps * math.sin(course))
+        ratio.append(math.acos(min(float(down @ level.down), 1.0)) / level.sigma_rad)
+    assert max(ratio) < 3.0
+    if attitude:
+        assert math.acos(min(float(down @ level.down), 1.0)) < 1.0 * DEG
+
+
 def test_what_a_wire_may_bring_does_no_harm() -> None:
     level = leaning(0.0, 0.0)
     for message in (
