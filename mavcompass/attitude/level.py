@@ -183,14 +183,16 @@ class Level:
         self._turn_body(turn)
         after = complex(self._x[0] + self._y[1], self._y[0] - self._x[1]) * 0.5
         raw = dot(gyro_radps, self.down)
-        drives = self._drives and time_s - self._speed_s < _SPEED_KNOWN_S
-        if abs(raw) < 0.02 and not drives:  # standing, or as good as: what drives may well turn as slowly
+        # Standing shows gravity and a gyro's bias; what a receiver sees travel may push and turn as steadily.
+        travels = self._drives and time_s - self._speed_s < _SPEED_KNOWN_S
+        if abs(raw) < 0.02 and not travels:
             self.bias_radps += min(step_s / 10.0, 1.0) * (raw - self.bias_radps)
         self.rate_radps = raw - self.bias_radps
         turned = math.atan2(self._y[0], self._x[0]) - azimuth
         self.turned_rad += (turned + math.pi) % (2.0 * math.pi) - math.pi - self.bias_radps * step_s
         self._predict(step_s, acc, 0.5 * (before + after))
-        self._look_still(step_s)
+        if self._upheld and not travels:
+            self._look_still(step_s)
         if time_s - self._speed_s > _SPEED_KNOWN_S and time_s > self._unbound_s:
             self._unbound_s = time_s + _BOUND_EVERY_S
             self._correct(((_V, 1.0),), -self._v, self._bound_mps**2)
@@ -351,8 +353,6 @@ class Level:
 
     def _look_still(self, step_s: float) -> None:
         """Where what is upheld is still, its specific force is gravity's."""
-        if not self._upheld:
-            return
         rate2, g = dot(self._gyro, self._gyro), -dot(self.down, self._acc)
         turns = rate2 > _STILL_RADPS**2 + 9.0 * self._rate2
         if turns or self._calm2 > 4.0 * self._force2 or g < 0.5 * _G:

@@ -103,6 +103,18 @@ def test_a_slow_bend_of_what_drives_is_no_bias() -> None:
     assert level.turned_rad == pytest.approx(0.8, abs=0.1)
 
 
+def test_a_push_that_hardly_changes_is_no_lean_where_a_receiver_sees_it_travel() -> None:
+    level, speed_mps = leaning(0.0, 0.0, "rover"), 0.0
+    for k in range(1, 800):  # it pulls away for eight seconds, without a tremor, and drives on
+        push_mps2 = 0.0 if k < 200 else 1.0 * math.exp(-(k - 200) / 160.0)
+        speed_mps += 0.05 * push_mps2
+        level.update(0.05 * k, (push_mps2, 0.0, -G), (0.0, 0.0, 0.0))
+        if k % 4 == 0:
+            level.hear_velocity(0.05 * k, speed_mps, 0.0)
+        assert abs(level.pitch_rad) < 3.0 * level.sigma_rad, k
+    assert level.sigma_rad < 0.3 * DEG
+
+
 def test_late_readings_do_nothing_and_after_a_silence_it_begins_anew() -> None:
     level = Level()
     level.update(1.0, (0.0, 0.0, -G), (0.0, 0.0, 1.0))
