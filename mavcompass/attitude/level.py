@@ -19,13 +19,15 @@ from __future__ import annotations
 import math
 from collections import deque
 
-from mavcompass.attitude.vectors import Vector, bend2, cross, dot, middle, squared, turn_row
+from mavcompass.attitude.vectors import Vector, bend2, changed2, cross, dot, middle, squared, turned_frame
 from mavcompass.gravity import is_gravity
 from mavcompass.kinds import HOVERING
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 # The upper triangle of the covariance, row by row; the lower one is its conjugate.
 Covariance = tuple[complex, ...]
+# Of force and rate, squared: horizontal and vertical.
+Changes = tuple[tuple[float, float], tuple[float, float]]
 
 _G = STANDARD_GRAVITY_MPS2
 _V, _TAU, _B, _C, _E = range(5)
@@ -175,12 +177,13 @@ class Level:
             self._past.append((self._time_s, self.down, self.turned_rad))
         acc, gyro = middle(self._acc, acc_mps2), middle(self._gyro, gyro_radps)
         self._note_noise(acc_mps2, gyro_radps)
+        changes = changed2(self._acc, acc_mps2, self.down), changed2(self._gyro, gyro_radps, self.down)
         self._time_s, self._acc, self._gyro = time_s, acc_mps2, gyro_radps
         b = self._bias
         azimuth = math.atan2(self._y[0], self._x[0])
         turn = ((gyro[0] - b.real) * step_s, (gyro[1] - b.imag) * step_s, gyro[2] * step_s)
         before = complex(self._x[0] + self._y[1], self._y[0] - self._x[1]) * 0.5
-        self._turn_body(turn)
+        self._x, self._y, self.down = turned_frame(self._x, self._y, turn)
         after = complex(self._x[0] + self._y[1], self._y[0] - self._x[1]) * 0.5
         raw = dot(gyro_radps, self.down)
         # Standing shows gravity and a gyro's bias; what a receiver sees travel may push and turn as steadily.
@@ -190,7 +193,7 @@ class Level:
         self.rate_radps = raw - self.bias_radps
         turned = math.atan2(self._y[0], self._x[0]) - azimuth
         self.turned_rad += (turned + math.pi) % (2.0 * math.pi) - math.pi - self.bias_radps * step_s
-        self._predict(step_s, acc, 0.5 * (before + after))
+        self._predict(step_s, acc, 0.5 * (before + after), changes)
         if self._upheld and not travels:
             self._look_still(step_s)
         if time_s - self._speed_s > _SPEED_KNOWN_S and time_s > self._unbound_s:
@@ -257,13 +260,7 @@ class Level:
         self._pushed = self._slow = complex(dot(self._x, self._acc), dot(self._y, self._acc))
         self._p = _uncorrelated(self._p[_B_B], tau2, tau_e)
 
-    def _turn_body(self, turn: Vector) -> None:
-        """Turn the frame's rows by a small rotation of the body, in body axes."""
-        angle2 = dot(turn, turn)
-        s, k = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
-        self._x, self._y, self.down = squared(turn_row(self._x, turn, s, k), turn_row(self._y, turn, s, k))
-
-    def _predict(self, step_s: float, acc: Vector, ahead: complex) -> None:
+    def _predict(self, step_s: float, acc: Vector, ahead: complex, changes: Changes) -> None:
         push = complex(dot(self._x, acc), dot(self._y, acc))
         self._pushed += min(step_s / 0.1, 1.0) * (push - self._pushed)
         self._slow += min(step_s / _STILL_S, 1.0) * (push - self._slow)
@@ -282,11 +279,15 @@ class Level:
         bt, back, turned = tb.conjugate(), carry.conjugate(), tb + carry * bb
         own = vv + lean * vt.conjugate() + bend * vb.conjugate()
         along, across = vt + lean * tt + bend * bt, vb + lean * tb + bend * bb
-        # Noise of more than a step averages out what the steps hide.
+        # Noise of more than a step averages out what the steps hide. And what changed from one reading to the
+        # next did so at any moment between them.
         hidden2 = _HIDDEN_RADPS**2 * _LEAST_RATE2 / self._rate2
         doubt = ESTIMATOR_SIGMA_RAD**2 + (_YAW_DOUBT * abs(self._pushed) / _G) ** 2
-        shaken2 = self._force2 * step_s * step_s + _HIDDEN_MPS2**2 * step_s
-        rolled2 = self._rate2 * step_s * step_s + _SCALE**2 * dot(self._gyro, self._gyro) * step_s
+        step2, ((pushed2, _), (rolled2, yawed2)) = step_s * step_s, changes
+        shaken2 = (self._force2 + pushed2 / 12.0) * step2 + _HIDDEN_MPS2**2 * step_s
+        scaled2 = _SCALE**2 * dot(self._gyro, self._gyro)
+        rolled2 = (self._rate2 + rolled2 / 12.0) * step2 + scaled2 * step_s
+        yawed2 = yawed2 / 12.0 * step2 + _TURN_WALK * step_s
         self._p = (
             own + along * lean.conjugate() + across * bend.conjugate() + shaken2,
             along + across * back,
@@ -300,7 +301,7 @@ class Level:
             bb + (_BIAS_WALK + 2.0 * hidden2 / _HIDDEN_FOR_S) * step_s,
             bc,
             fading * be,
-            cc + _TURN_WALK * step_s,
+            cc + yawed2,
             fading * ce,
             fading * fading * ee + doubt * (1.0 - fading * fading),
         )

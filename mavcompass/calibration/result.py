@@ -24,9 +24,14 @@ _NOT_AVERAGED = (ACCELEROMETER, "disagreement")
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Set what is accepted: the predicted heading error in degrees, 1 sigma rms over the circle."""
+    """Set what is accepted: the predicted heading error in degrees, 1 sigma rms over the circle.
+
+    Attributes:
+        by_motion: only what more motion would lower counts, not what the accelerometer itself may be off by.
+    """
 
     heading_deg: float = 2.0
+    by_motion: bool = False
 
 
 DEFAULT_LIMITS = Limits()
@@ -183,7 +188,7 @@ class CalibrationResult:
     def repeatable_sigma_deg(self) -> float:
         """Return the part of the heading's sigma that further positions would lower."""
         shared_deg = math.hypot(*(self.heading_budget_deg.get(name, 0.0) for name in _NOT_AVERAGED))
-        return math.sqrt(max(self.heading_sigma_deg**2 - shared_deg**2, 0.0))
+        return _without(self.heading_sigma_deg, shared_deg)
 
     def change_rad(self, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> FloatArray:
         """Return by how much the heading changes from the values in force, (72 by load), radians."""
@@ -231,6 +236,8 @@ class CalibrationResult:
     def within(self, limits: Limits, why: str = "") -> CalibrationResult:
         """Accept it with no reason against it and a sigma within the limit; `why` is what widened that."""
         reasons, sigma_deg = self.reasons, self.heading_sigma_deg
+        if limits.by_motion:
+            sigma_deg = _without(sigma_deg, self.heading_budget_deg.get(ACCELEROMETER, 0.0))
         if not sigma_deg <= limits.heading_deg and not any(UNCERTAIN in reason for reason in reasons):
             uncertain = f"{UNCERTAIN} by {sigma_deg:.1f} degrees (limit {limits.heading_deg:g})."
             reasons = (*reasons, why or uncertain)
@@ -362,3 +369,8 @@ def _numbers(values: Any) -> list[float | None]:
 def surest(results: Sequence[CalibrationResult]) -> CalibrationResult:
     """Return the result whose heading is known best, the first of equals."""
     return min(results, key=lambda r: r.heading_sigma_deg if math.isfinite(r.heading_sigma_deg) else math.inf)
+
+
+def _without(sigma: float, part: float) -> float:
+    """Return what a sigma is without a part of it."""
+    return math.sqrt(max(sigma**2 - part**2, 0.0))

@@ -128,7 +128,7 @@ def compare(
         return Evidence(tuple(sources), 0.0, None if earth is None else TrueNorth.of(earth))
     scatters = []
     for other in others:
-        found = _deviation(moments, other.heading.nearest(moments.time_s, _NEAREST_S))
+        found = _deviation(moments, _paired(other.heading, moments.time_s))
         if found is None:
             continue
         shown, sigma, left = found
@@ -169,6 +169,19 @@ def _moments(
     return _Moments(track, time[rows], values[rows], (rate[rows] * down[rows]).sum(axis=1), *declination)
 
 
+def _paired(other: Series, time_s: FloatArray) -> FloatArray:
+    """Return each reading of another heading at the moment that is nearest to it, (N,); nan at the rest."""
+    told = other.nearest(time_s, _NEAREST_S)
+    if not len(other) or not time_s.size:
+        return told
+    place = np.searchsorted(0.5 * (other.time_s[1:] + other.time_s[:-1]), time_s)
+    nearest_first = np.lexsort((np.abs(other.time_s[place] - time_s), place))
+    _, first = np.unique(place[nearest_first], return_index=True)
+    chosen = np.full(told.shape, np.nan)
+    chosen[nearest_first[first]] = told[nearest_first[first]]
+    return chosen
+
+
 def _deviation(
     moments: _Moments, other_rad: FloatArray
 ) -> tuple[tuple[float, float, float], float, float] | None:
@@ -178,9 +191,10 @@ def _deviation(
     is told than the other is fitted, too.
     """
     time_s, mine_rad = moments.time_s, moments.heading_rad
-    known = np.isfinite(mine_rad) & np.isfinite(other_rad)
-    known[1:] &= np.diff(other_rad) != 0.0  # a reading that is repeated says no more than once
-    if int(known.sum()) < 2:
+    known = np.flatnonzero(np.isfinite(mine_rad) & np.isfinite(other_rad))
+    # A reading that is repeated says no more than once.
+    known = known[np.diff(other_rad[known], prepend=math.nan) != 0.0]
+    if known.size < 2:
         return None
     mine, off = mine_rad[known], np.exp(1j * (other_rad - mine_rad)[known])
     # A noisy reading is not to choose its own bin: what a second's readings show together does.
@@ -240,7 +254,7 @@ def _elsewhere(moments: _Moments, instance: int, north: Iterable[NorthSeen]) -> 
     elsewhere = steered_by is not None and steered_by != instance and steered_by not in track.compasses
     yaw = _autopilot_yaw(track)
     if elsewhere and steered_by != "gps" and yaw is not None:
-        told = yaw.nearest(moments.time_s - track.field_lag_s, _NEAREST_S) - declination_rad
+        told = _paired(yaw, moments.time_s - track.field_lag_s) - declination_rad
         if (found := _deviation(moments, told)) is not None:
             doubt = math.hypot(_AUTOPILOT_RAD, found[1], moments.declination_sigma_rad)
             yield HeadingSource.elsewhere("autopilot", found[0][0], doubt)

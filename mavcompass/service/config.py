@@ -155,7 +155,7 @@ class LearningConfig:
 
     Attributes:
         enabled: learn. margin_deg: by so much an offer lowers the heading error in force, at three sigmas.
-        limit_deg: the largest heading error, 1 sigma, that is offered.
+        limit_deg: the largest heading error, 1 sigma, that is offered: of what more motion would lower.
     """
 
     enabled: bool = True

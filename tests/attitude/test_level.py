@@ -11,7 +11,7 @@ from driven import driven
 from mavcompass import messages as mav
 from mavcompass.attitude import Level
 from mavcompass.attitude.heard import hear
-from mavcompass.frames import euler_to_matrix, rotate_back
+from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
 from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS, STANDARD_GRAVITY_MPS2
 
 G = STANDARD_GRAVITY_MPS2
@@ -113,6 +113,44 @@ def test_a_push_that_hardly_changes_is_no_lean_where_a_receiver_sees_it_travel()
             level.hear_velocity(0.05 * k, speed_mps, 0.0)
         assert abs(level.pitch_rad) < 3.0 * level.sigma_rad, k
     assert level.sigma_rad < 0.3 * DEG
+
+
+def hovering(time_s: float, yaw: float) -> tuple[FloatArray, Vector, Vector]:
+    """Return body to world, what is felt, and the velocity of a copter that leans as it is pushed."""
+    north, east = 1.2 * math.sin(0.7 * time_s), 0.9 * math.sin(0.5 * time_s + 1.0)
+    ahead = math.cos(yaw) * north + math.sin(yaw) * east
+    right = math.cos(yaw) * east - math.sin(yaw) * north
+    thrust = math.sqrt(north**2 + east**2 + G**2)
+    to_world = euler_to_matrix(math.asin(right / thrust), math.atan2(-ahead, G), yaw)
+    moves = (-1.2 / 0.7 * math.cos(0.7 * time_s), -0.9 / 0.5 * math.cos(0.5 * time_s + 1.0), 0.0)
+    return np.asarray(to_world), (0.0, 0.0, -thrust), moves
+
+
+def hovers(rate_hz: float, chance: np.random.Generator) -> list[float]:
+    """Return how far off the level of a copter is that is yawed by jerks at any moment, in its sigmas."""
+    level, left_s, off = Level("copter"), 1.0 / rate_hz, list[float]()
+    time_s, yaw, yaw_radps, until_s = 0.0, 0.0, 0.0, 0.0
+    while time_s < 120.0:
+        to_world, felt, (north, east, _) = hovering(time_s, yaw)
+        soon, _, _ = hovering(time_s + 1e-4, yaw + 1e-4 * yaw_radps)
+        spin = to_world.T @ (soon - to_world) / 1e-4
+        level.update(time_s, felt, (float(spin[2, 1]), float(spin[0, 2]), float(spin[1, 0])))
+        x, y, z = to_world[2].tolist()
+        level.hear_attitude(time_s, math.atan2(y, z), -math.asin(x))
+        level.hear_velocity(time_s, north + chance.normal(0.0, 0.05), east + chance.normal(0.0, 0.05))
+        if time_s > 5.0:
+            off.append(math.acos(min(float(to_world[2] @ level.down), 1.0)) / level.sigma_rad)
+        while until_s < time_s + left_s:
+            yaw, left_s, time_s = yaw + yaw_radps * (until_s - time_s), left_s - (until_s - time_s), until_s
+            yaw_radps, until_s = float(chance.uniform(-1.0, 1.0)), until_s + float(chance.uniform(0.5, 3.0))
+        yaw, time_s, left_s = yaw + yaw_radps * left_s, time_s + left_s, 1.0 / rate_hz
+    return off
+
+
+@pytest.mark.parametrize("rate_hz", [4.0, 40.0])
+def test_what_turns_between_two_readings_is_doubted(rate_hz: float) -> None:
+    off = [ratio for seed in range(3) for ratio in hovers(rate_hz, np.random.default_rng(seed))]
+    assert math.sqrt(float(np.mean(np.square(off))) / 2.0) < 1.7
 
 
 def test_late_readings_do_nothing_and_after_a_silence_it_begins_anew() -> None:

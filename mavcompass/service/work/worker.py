@@ -88,7 +88,7 @@ def learn(pieces: list[Any], instances: tuple[int, ...], earth: Any, limit_deg: 
     from mavcompass.calibration.result import Limits
     from mavcompass.track import joined
 
-    found = learn_compasses(joined(pieces), instances, earth, Limits(heading_deg=limit_deg))
+    found = learn_compasses(joined(pieces), instances, earth, Limits(limit_deg, by_motion=True))
     return {i: str(learnt) if isinstance(learnt, MavCompassError) else learnt for i, learnt in found.items()}
 
 

@@ -175,6 +175,7 @@ _SIDES = {
 # It gives a side up after 42 s, and asks again before that.
 _PX4_SILENCE_S = 90.0
 _POLL_S, _AGAIN_S = 0.1, 1.0
+_STEADIER = "Hold each side for five seconds, and steadier; what cannot be lifted takes another method."
 _PERCENT = re.compile(r"progress <(\d+)>")
 
 
@@ -200,7 +201,7 @@ class _Texts:
 def calibrate_px4(context: Context) -> Script[str]:
     """Have it calibrate all compasses while a person turns the vehicle; return why it failed, "" where not.
 
-    Raises Refused where it does not begin, LinkLost where it falls silent.
+    Raises Refused where it does not begin, PoorCalibration where it is not turned, LinkLost in silence.
     """
     told, ended = _Texts(), False
     context.listeners.append(told.hear)
@@ -244,6 +245,10 @@ def _until_done(context: Context, told: _Texts) -> Script[str]:
             done = f" {percent} %, {len(_SIDES) - len(pending)} of {len(_SIDES)} sides done."
             context.show("turn", words + done, 0.8 * percent / 100.0, live=1.0, **data)
             said_s = context.now
+        if words and context.now - told.heard_s > _PX4_SILENCE_S:
+            raise PoorCalibration(
+                f"Since {_PX4_SILENCE_S:.0f} s its own calibration waits: {words}", _STEADIER
+            )
         remedy = "Check that its texts come over this link, then run again."
         _need_words(context, max(told.heard_s, began_s), _PX4_SILENCE_S, remedy)
         yield from pause(context, _POLL_S)
