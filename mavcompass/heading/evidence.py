@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,7 +98,7 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Moments:
-    """Hold the moments at which headings are compared: the compass's own readings, slow and upright."""
+    """Hold the moments at which headings are compared: the compass's own readings, upright."""
 
     track: Track
     time_s: FloatArray
@@ -106,6 +106,12 @@ class _Moments:
     rate_radps: FloatArray
     declination_rad: float
     declination_sigma_rad: float
+
+    def slow(self) -> _Moments:
+        """Return those at which it turned slowly: what is late by more than a compass tells nothing else."""
+        rows = np.abs(self.rate_radps) < _SLOW_RADPS
+        time, heading, rate = self.time_s[rows], self.heading_rad[rows], self.rate_radps[rows]
+        return replace(self, time_s=time, heading_rad=heading, rate_radps=rate)
 
 
 def compare(
@@ -120,7 +126,8 @@ def compare(
     Args:
         track: the recording. mine: what is in question. others: the headings by the other compasses.
         earth: gives the declination, which sources of true headings need.
-        windows: the still stretches (start, end) that count; None takes all that is slow and upright.
+        windows: the stretches (start, end) that count; None takes all that is slow and upright. In a turn
+            that was chosen compasses, which are late alike, are compared as it turns.
     """
     moments = _moments(track, mine, earth, windows)
     sources = [HeadingSource(f"compass {mine.instance}", (0.0, 0.0, 0.0), mine.sigma_rad, mine.by_itself)]
@@ -142,6 +149,7 @@ def compare(
             continue
         name, sure = f"compass {other.instance}", math.hypot(other.sigma_rad, sigma)
         sources.append(HeadingSource(name, shown, sure, other.by_itself))
+    moments = moments.slow()
     seen = _north_seen(moments)
     north = None if earth is None else TrueNorth.of(earth, seen)
     sources += _elsewhere(moments, mine.instance, seen)
@@ -158,10 +166,12 @@ def _moments(
     down, rate = down_in_body(track, time), np.zeros((len(time), 3))
     if track.gyro_radps is not None and len(track.gyro_radps):
         rate = np.nan_to_num(track.gyro_radps.at(time - track.field_lag_s), nan=math.inf)
-    slow = np.isfinite(values) & (down[:, 2] > _LEAST_UPRIGHT) & (np.linalg.norm(rate, axis=1) < _SLOW_RADPS)
-    if windows is not None:
-        slow &= np.any([(time >= start) & (time <= end) for start, end in windows], axis=0)
-    rows = np.flatnonzero(slow)
+    usable = np.isfinite(values) & (down[:, 2] > _LEAST_UPRIGHT) & np.isfinite(rate).all(axis=1)
+    if windows is None:
+        usable &= np.linalg.norm(rate, axis=1) < _SLOW_RADPS
+    else:
+        usable &= np.any([(time >= start) & (time <= end) for start, end in windows], axis=0)
+    rows = np.flatnonzero(usable)
     rows = rows[:: max(len(rows) // _MOST_ROWS, 1)]
     declination = (
         (0.0, _DECLINATION_RAD) if earth is None else (earth.declination_rad, earth.declination_sigma_rad)
