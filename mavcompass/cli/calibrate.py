@@ -45,7 +45,7 @@ _HELP = {
     ),
     "How it turns": (
         "sim:copter --motion hand --positions 6",
-        ("motion", "turn_by", "positions", "step_deg", "dwell_s", "speak"),
+        ("motion", "turn_by", "continuous", "positions", "step_deg", "dwell_s", "speak"),
     ),
     "What you allow": (
         "udpin:0.0.0.0:14550 --arm --set-mode --takeoff 3",
@@ -139,6 +139,11 @@ _HELP = {
     "--orientation", is_flag=True, help="Set how a compass is mounted, too, where it is mounted turned."
 )
 @click.option("--rewrite", is_flag=True, help="Write also where the values in force are already right.")
+@click.option(
+    "--continuous/--stops",
+    "continuous",
+    help="Pass through the positions in one turn, in half the time, or stop at each [default: stops].",
+)
 @click.option("--speak", is_flag=True, help="Say the prompts aloud (spd-say, espeak-ng or say).")
 @systems_option
 @effects_option
@@ -177,6 +182,7 @@ def command(
     reboot: bool,
     orientation: bool,
     rewrite: bool,
+    continuous: bool,
     speak: bool,
     system: int | str | None,
     effects: tuple[str, ...],
@@ -208,6 +214,10 @@ def command(
     require_for(address, report=report_file)
     from mavcompass.cli.calibration.recording import Wanted
 
+    if continuous and (motion == "hand" or method not in ("auto", "four-positions")):
+        raise UsageError(
+            "--continuous is for a vehicle that turns itself, by four-positions.", "Leave it away."
+        )
     heading = _given(method, motion, true_heading_deg, true_heading_sigma_deg)
     wanted = Wanted(source, method, instances, max_error_deg, params_out, report_file, output, heading)
     if isinstance(address, Recording):
@@ -241,6 +251,7 @@ def command(
         reboot=reboot,
         orientation=orientation,
         rewrite=rewrite,
+        continuous=continuous,
         dwell=DwellSettings() if dwell_s is None else DwellSettings(dwell_s=dwell_s, shortest_s=dwell_s),
     )
     by_hand = motion == "hand" or method == "autopilot"

@@ -133,8 +133,16 @@ class OwnHeading:
         if self._has_a_way and self.desk.state.speed_mps < _STOPPED_MPS:
             yield from self._switch()
 
-    def found(self, results: Sequence[CalibrationResult], windows: Sequence[tuple[float, float]]) -> None:
-        """Measure the error at the dwells, before anything is written: `before_deg` is that of the first."""
+    def found(
+        self,
+        results: Sequence[CalibrationResult],
+        windows: Sequence[tuple[float, float]],
+        bent_deg: float = 0.0,
+    ) -> None:
+        """Measure the error at the dwells, before anything is written: `before_deg` is that of the first.
+
+        `bent_deg` is known of what turned it between them.
+        """
         self.result = surest(results)
         # What was recorded is by the mounting that is set; a calibration of the right one is not for that.
         self._turned = self.result.mounting.turned if self.result.accepted else None
@@ -142,7 +150,7 @@ class OwnHeading:
             self._sample(*window)
         if self.samples:
             self.before_deg = self.samples[0][1]
-            self._bent_deg = max(abs(error_deg) for _, error_deg, _ in self.samples)
+            self._bent_deg = max(bent_deg, *(abs(error_deg) for _, error_deg, _ in self.samples))
         self.samples.clear()
 
     def expect(self) -> Script[None]:

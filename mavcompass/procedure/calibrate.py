@@ -21,7 +21,7 @@ from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.desk import Desk
 from mavcompass.procedure.dialect import CutShort, Dialect, Overrides, SaveUndo, WriteOutcome
 from mavcompass.procedure.motion import Mobility
-from mavcompass.procedure.positions import Mover, Window, prove, visit
+from mavcompass.procedure.positions import Mover, Window, prove, stood_since, turn_through, visit
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Ask, Context, Script, ask
 from mavcompass.procedure.settings import CalibrateSettings
@@ -155,13 +155,15 @@ class _Calibration:
         mobility = Mobility(
             *(desk.identity, desk.state, desk.gyro, desk.rest),
             *(settings.moved_by, settings.turn_by, settings.permissions, settings.limits),
-            self.overrides,
+            *(self.overrides, settings.continuous),
         )
         self.writer = writer = Writer(
             desk, self.overrides.save_undo, settings.writing == "ask", self.own.expect
         )
         try:
             mover = yield from mobility.take_charge(desk.context, desk.parameters)
+            if settings.continuous and not mover.by_itself:  # a person is told to stop
+                self.settings = settings = replace(settings, continuous=False)
             if settings.by_autopilot:
                 yield from self.by_itself()
             report = self.solve((yield from self.visit(mover)))
@@ -171,13 +173,19 @@ class _Calibration:
                 desk.context.show("solve", summary(result), settings.planned / (settings.planned + 1.0))
             report = yield from self.as_mounted(report)
             mover.halt(desk.context)  # nothing is asked of the vehicle while values are written
-            self.own.found(report.results, [(w.start_s, w.end_s) for w in report.windows])
+            stood, bent_deg = report.windows, 0.0
+            if settings.continuous:  # only before the turn; there it may have been right by chance
+                stood, bent_deg = stood[:1], max((r.heading_change_deg for r in report.to_write), default=0.0)
+            self.own.found(report.results, [(w.start_s, w.end_s) for w in stood], bent_deg)
             if report.accepted and report.to_write and settings.writing != "never":
+                last = report.windows[-1]
+                if settings.continuous:
+                    last = yield from stood_since(desk.context, desk.rest, desk.gyro, last, settings.dwell)
                 report = yield from writer.write(report)
                 if report.takes_effect_later:
                     report = report.noting(_UNPROVEN)
                 elif report.outcome is not None:
-                    report = yield from self.prove_or_undo(report, report.outcome, mover, writer)
+                    report = yield from self.prove_or_undo(report, report.outcome, mover, writer, last)
             finished = True
             return report
         finally:
@@ -232,7 +240,8 @@ class _Calibration:
         Solving takes a small computer seconds, in which nothing is sent: no vehicle may depend on that.
         """
         desk, settings = self.desk, self.settings
-        windows = yield from visit(
+        go = turn_through if settings.continuous else visit
+        windows = yield from go(
             desk.context,
             desk.rest,
             desk.gyro,
@@ -336,15 +345,16 @@ class _Calibration:
         return replace(report, heading=own.outcome())
 
     def prove_or_undo(
-        self, report: CalibrationReport, outcome: WriteOutcome, mover: Mover, writer: Writer
+        self, report: CalibrationReport, outcome: WriteOutcome, mover: Mover, writer: Writer, last: Window
     ) -> Script[CalibrationReport]:
         """Turn once more: the field's own heading must follow the gyro; otherwise undo.
 
         A proof that is cut short, or not begun, is none: the old values are put back.
         """
-        context, settings, last = self.desk.context, self.settings, report.windows[-1]
+        context, settings = self.desk.context, self.settings
         try:
-            yield from self.own.written(outcome.values)
+            if not settings.continuous:
+                yield from self.own.written(outcome.values)
             doing = "Measuring" if settings.stands else "Turning"
             context.show("prove", f"{doing} once more to check the new values.")
             enough = replace(settings.dwell, enough_deg=_PROOF_ENOUGH_DEG)
@@ -367,6 +377,8 @@ class _Calibration:
                 if proof.tells:
                     break
                 turned_rad = math.radians(proof.compasses[0].gyro_turned_deg)
+            if settings.continuous and proof.passed:  # no turn waits for the autopilot to follow
+                yield from self.own.written(outcome.values)
         except Exception as why:
             mover.halt(context)
             yield from writer.take_back(report, f"The proof was cut short ({why}).")

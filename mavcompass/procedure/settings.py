@@ -36,6 +36,7 @@ class CalibrateSettings:
         reboot: restart the autopilot where its own heading cannot be brought right otherwise.
         orientation: set how a compass is mounted, too, where it is mounted turned.
         rewrite: write also where the values in force are right.
+        continuous: what turns itself passes through the positions in one turn instead of stopping at each.
     """
 
     instances: tuple[int, ...] = (1,)
@@ -56,8 +57,14 @@ class CalibrateSettings:
     reboot: bool = False
     orientation: bool = False
     rewrite: bool = False
+    continuous: bool = False
     dwell: DwellSettings = field(default_factory=DwellSettings)
     limits: SafetyLimits = field(default_factory=SafetyLimits)
+
+    @property
+    def solver(self) -> str:
+        """Return the method that solves: a turn without a stop is solved as any motion is."""
+        return "world-field" if self.continuous else self.method
 
     @property
     def stands(self) -> bool:

@@ -64,7 +64,7 @@ def solve(
     """Solve and judge compasses on the positions that a procedure visited."""
     results = calibrate_compasses(
         track,
-        settings.method,
+        settings.solver,
         instances,
         earth=earth,
         windows=None if settings.by_autopilot else [(window.start_s, window.end_s) for window in windows],

@@ -24,6 +24,7 @@ from fault_cells.scene import Scene
 from fault_cells.works import AT_ONCE
 
 from mavcompass.errors import MavCompassError, WriteFailed
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.stopping import StopRequest
@@ -81,7 +82,9 @@ def happening(event: str, kind: str, scene: Scene, stop: StopRequest) -> Callabl
     return happenings[event]
 
 
-def interrupt(kind: str, event: str, seed: int, duration_s: float) -> Outcome | None:
+def interrupt(
+    kind: str, event: str, seed: int, duration_s: float, settings: CalibrateSettings = AT_ONCE
+) -> Outcome | None:
     """Run one calibration and interrupt it; None where it was over before."""
     at_s = random.Random(f"{kind} {event} {seed}").uniform(0.5, duration_s)
     with folder() as place:
@@ -91,7 +94,7 @@ def interrupt(kind: str, event: str, seed: int, duration_s: float) -> Outcome | 
         error: MavCompassError | None = None
         try:
             with scene.link() as link:
-                calibrate_on(link, f"sim:{kind}", AT_ONCE, stop=stop, undo_directory=scene.undo_folder)
+                calibrate_on(link, f"sim:{kind}", settings, stop=stop, undo_directory=scene.undo_folder)
         except MavCompassError as caught:
             error = caught
         if scene.agenda or (error is None and scene.vehicle.time_s - at_s < TOO_LATE_S):

@@ -49,6 +49,7 @@ class Mobility:
     Attributes:
         motion, turn_by, permissions, limits: as the person wants it; see `CalibrateSettings`.
         overrides: with these it may set an arming check aside.
+        continuous: it is to turn all the way round without a stop.
     """
 
     identity: VehicleIdentity
@@ -60,6 +61,7 @@ class Mobility:
     permissions: Permissions = field(default_factory=Permissions)
     limits: SafetyLimits = field(default_factory=SafetyLimits)
     overrides: Overrides | None = None
+    continuous: bool = False
     mover: Mover | None = None
     _modes: ModeKeeper = field(init=False)
     _readiness: Readiness | None = None
@@ -99,8 +101,13 @@ class Mobility:
     def _strategies(self, parameters: Mapping[str, float]) -> tuple[TurnStrategy, ...]:
         kind, autopilot = self.identity.kind, self.identity.autopilot
         strategies = strategies_for(
-            kind, autopilot, self._is_ackermann(parameters), self.turn_by, self._modes
+            kind, autopilot, self._is_ackermann(parameters), self.turn_by, self._modes, self.continuous
         )
+        if not strategies and self.continuous:
+            raise Refused(
+                f"No way is known in which this {autopilot} {kind} turns all the way round without a stop.",
+                "Leave --continuous away: it then stops at each position.",
+            )
         if not strategies:
             how = f"turns itself on the spot{turned_otherwise(kind, autopilot)}"
             raise Refused(

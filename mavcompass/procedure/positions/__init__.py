@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from mavcompass.procedure.positions.continuous import stood_since, turn_through
 from mavcompass.procedure.positions.movers import HandMover, VehicleMover
 from mavcompass.procedure.positions.proof import Proof, prove
 from mavcompass.procedure.positions.visiting import (
@@ -25,5 +26,7 @@ __all__ = [
     "Window",
     "dwell",
     "prove",
+    "stood_since",
+    "turn_through",
     "visit",
 ]

@@ -78,8 +78,10 @@ def _profile(name: str, document: Mapping[str, Any]) -> VehicleProfile:
 
 def _way(table: Mapping[str, Any]) -> TurnWay:
     numbers = {key: _positive(value) for key, value in table.items() if key != "way"}
-    rate_radps = numbers.pop("rate_deg_s") * RAD_PER_DEG
-    return TurnWay(str(table["way"]), rate_radps, **numbers)
+    rates = {name: numbers.pop(f"{name}_deg_s", 0.0) * RAD_PER_DEG for name in ("rate", "round")}
+    return TurnWay(
+        str(table["way"]), rate_radps=_positive(rates["rate"]), round_radps=rates["round"], **numbers
+    )
 
 
 def _positive(value: float) -> float:
@@ -94,18 +96,23 @@ def strategies_for(
     ackermann: bool = False,
     by: TurnBy = "auto",
     modes: ModeKeeper | None = None,
+    continuous: bool = False,
 ) -> tuple[TurnStrategy, ...]:
     """List the ways to turn a vehicle, best first; empty where only a person can turn it.
 
     Which and how fast stands in `params/vehicles`. `by` other than "auto" moves the pilot's own controls
-    instead, in a mode in which they steer. `modes` knows the mode before and puts it back.
+    instead, in a mode in which they steer. `modes` knows the mode before and puts it back. `continuous` lists
+    those that turn it all the way round without a stop, at the rate of that.
     Raises MavCompassError where a profile names a way that does not exist.
     """
     if by != "auto":
         turn = turn_by_controls(kind, by) if autopilot == "ardupilot" else None
         return () if turn is None else (turn,)
     profile = vehicle_profile(kind, autopilot, ackermann)
-    return () if profile is None else tuple(_strategy(way, modes) for way in profile.ways)
+    found = () if profile is None else profile.ways
+    if continuous:
+        found = tuple(way.all_round() for way in found if way.round_radps)
+    return tuple(_strategy(way, modes) for way in found)
 
 
 def turned_otherwise(kind: str, autopilot: str) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from mavcompass.procedure.modes import ModeKeeper
@@ -48,6 +48,8 @@ class TurnWay:
         forward_mps: speed while turning, for what cannot turn on the spot.
         speed_up_s: the rate grows to its full size in so long.
         ends_within_s: the vehicle stands so soon after the last heading that it was told, its link dead.
+        round_radps, round_ends_within_s: the same of one turn all the way round without a stop; 0 where
+            that is not possible.
     """
 
     name: str
@@ -58,6 +60,12 @@ class TurnWay:
     forward_mps: float = 0.0
     speed_up_s: float = 0.0
     ends_within_s: float = 1.0
+    round_radps: float = 0.0
+    round_ends_within_s: float = 1.0
+
+    def all_round(self) -> TurnWay:
+        """Return the same way at the rate of a turn without a stop."""
+        return replace(self, rate_radps=self.round_radps, ends_within_s=self.round_ends_within_s)
 
 
 class TurnStrategy(Protocol):

@@ -106,7 +106,7 @@ def test_a_heading_ahead_is_as_far_as_makes_the_rate(
 
 
 @pytest.mark.parametrize("gain_per_s", [0.5, 2.0, 4.0])
-@pytest.mark.parametrize("ends_within_s", [1.0, 2.5])
+@pytest.mark.parametrize("ends_within_s", [1.0, 1.3, 2.5])
 def test_the_heading_named_last_is_one_that_ends_in_time(gain_per_s: float, ends_within_s: float) -> None:
     """Follow it as the vehicle does, after the 0.15 s that its body is late: 5 degrees a second at most."""
     message = sent(HeadingAhead(gain_per_s, ends_within_s), 1000.0)
