@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import cache
 
 
 @dataclass(frozen=True, slots=True)
@@ -11,6 +12,7 @@ class Message:
     """Be one MAVLink message."""
 
     @classmethod
+    @cache
     def wire_name(cls) -> str:
         """Return the dialect's name: RawImu is RAW_IMU."""
         return re.sub(r"(?<=[a-z])(?=[A-Z])", "_", cls.__name__).upper()

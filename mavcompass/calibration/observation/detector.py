@@ -160,12 +160,13 @@ class StillnessDetector:
         self._down = (mixed[0] / size, mixed[1] / size, mixed[2] / size)
 
     def _judge(self, time_s: float, mag: tuple[float, float, float]) -> None:
+        # A noise takes a sort: it is asked only where less than it allows is exceeded.
         tilt = self._mean(2)
         if abs(self._rate) > 3.0 * STILL_RATE_RADPS:
             self._stir("rotating")
         elif abs(self._rate) > STILL_RATE_RADPS:
             self._stir("hunting")
-        elif tilt > STILL_TILT_RATE_RADPS + TILT_FLOOR * self._tilt_noise.sigma:
+        elif tilt > (limit := STILL_TILT_RATE_RADPS) and tilt > limit + TILT_FLOOR * self._tilt_noise.sigma:
             self._stir("tilting")
         elif self._wheels is not None and self._wheels.rolls(self._force_noise.sigma):
             self._stir("rolling")
@@ -176,14 +177,14 @@ class StillnessDetector:
             if abs(self._turned - turned) > LONGEST_SWING_RAD:
                 self._begin(time_s, mag)
                 self._reason = "hunting"
-            elif math.dist(mag, field) > self._field_limit(abs(self._turned - turned)):
+            elif self._field_moved(math.dist(mag, field), abs(self._turned - turned)):
                 self._begin(time_s, mag)
                 self._reason = "field changing"
 
-    def _field_limit(self, turned_rad: float) -> float:
-        """Return how far one reading may lie from another at rest, by chance and by so small a turn, mG."""
-        chance = _FIELD_CHANCE * self._field_noise.sigma
-        return math.hypot(_FIELD_STEP_MGAUSS, chance) + 300.0 * turned_rad
+    def _field_moved(self, by_mgauss: float, turned_rad: float) -> bool:
+        """Tell whether a reading at rest lies farther from another than chance and a small turn take it."""
+        least, by_mgauss = _FIELD_STEP_MGAUSS, by_mgauss - 300.0 * turned_rad
+        return by_mgauss > least and by_mgauss > math.hypot(least, _FIELD_CHANCE * self._field_noise.sigma)
 
     def _mean(self, column: int) -> float:
         return sum([row[column] for row in self._window]) / len(self._window)
@@ -198,10 +199,5 @@ class StillnessDetector:
 
     def _state(self, time_s: float) -> Stillness:
         still = not math.isnan(self._quiet_since) and time_s - self._quiet_since >= self._hold_s
-        return Stillness(
-            still=still,
-            since_s=self._quiet_since,
-            why_not="" if still else self._reason,
-            rate_radps=self._rate,
-            turned_rad=self._turned,
-        )
+        why_not = "" if still else self._reason
+        return Stillness(still, self._quiet_since, why_not, self._rate, self._turned)
