@@ -13,12 +13,14 @@ against the gyro, its dip and strength against the Earth's), as a likelihood rat
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
+from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray, wrap_pi
 from mavcompass.printable import named
@@ -111,8 +113,8 @@ class FaultIsolation:
         others = tuple(i for i in rest if i in self.likeliest) or tuple(rest)
         if not others:
             return 0.0
-        centre, _ = _common(self.sources, others)
-        return float(wrap_pi(self.sources[index].deviation_rad[0] - centre[0]))
+        centre, _ = _common([self.sources[i] for i in others], np.ones((1, len(others)), dtype=np.bool_))
+        return float(wrap_pi(self.sources[index].deviation_rad[0] - centre[0, 0]))
 
     def others_sigma_rad(self, index: int) -> float:
         """Return one sigma of the heading by the other sound sources together."""
@@ -137,50 +139,50 @@ class FaultIsolation:
 def isolate_faults(sources: Sequence[HeadingSource]) -> FaultIsolation:
     """Weigh every set of sources that may be sound (J1). Returns nothing to blame for one source or none."""
     sources, count = tuple(sources), len(sources)
+    sigma = np.array([s.sigma_rad for s in sources])
     if count < 2:
-        sigma = np.array([s.sigma_rad for s in sources])
         return FaultIsolation(sources, np.ones(count), sigma, tuple(range(count)))
-    hypotheses = [
-        subset for size in range(1, count + 1) for subset in itertools.combinations(range(count), size)
-    ]
-    weights, errors = [], []
-    for subset in hypotheses:
-        centre, log_weight = _common(sources, subset)
-        for i, source in enumerate(sources):
-            sound = i in subset
-            log_weight += math.log(1.0 - source.fault) + source.log_ratio if sound else math.log(source.fault)
-        weights.append(log_weight)
-        errors.append([_error2(source, centre, i in subset) for i, source in enumerate(sources)])
-    share = np.exp(np.array(weights) - max(weights))
+    hypotheses, member = _hypotheses(count)
+    centre, log_weight = _common(sources, member)
+    sound = [math.log(1.0 - s.fault) + s.log_ratio for s in sources]
+    log_weight += np.where(member, sound, [math.log(s.fault) for s in sources]).sum(axis=1)
+    share = np.exp(log_weight - log_weight.max())
     share /= share.sum()
-    member = np.array([[i in subset for i in range(count)] for subset in hypotheses], dtype=np.float64)
-    return FaultIsolation(
-        sources, share @ member, np.sqrt(share @ np.array(errors)), hypotheses[int(np.argmax(share))]
-    )
+    away = np.array([s.deviation_rad for s in sources]) - centre[:, np.newaxis]
+    away[np.isnan(away)] = 0.0
+    # The mean square over the circle, of one of those about the centre or of another (J2).
+    apart2 = wrap_pi(away[..., 0]) ** 2 + 0.5 * (away[..., 1:] ** 2).sum(axis=-1)
+    error2 = np.where(member, np.maximum(sigma**2, apart2), sigma**2 + apart2)
+    return FaultIsolation(sources, share @ member, np.sqrt(share @ error2), hypotheses[int(np.argmax(share))])
 
 
-def _common(sources: Sequence[HeadingSource], subset: tuple[int, ...]) -> tuple[FloatArray, float]:
-    """Return the mean deviation (3,) of a set, nan where none shows it, and the log of its weight."""
-    centre, log_weight = np.full(3, math.nan), 0.0
+@lru_cache(maxsize=16)
+def _hypotheses(count: int) -> tuple[list[tuple[int, ...]], NDArray[np.bool_]]:
+    """List the sets of sources that may be sound, H of them, and mark their members, (H, N)."""
+    sets = [subset for size in range(1, count + 1) for subset in combinations(range(count), size)]
+    return sets, np.array([[i in subset for i in range(count)] for subset in sets])
+
+
+def _common(sources: Sequence[HeadingSource], member: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+    """Return sets' (H, N) mean deviations (H, 3), nan where none shows one, and the logs of their weights."""
+    centre, log_weight = np.full((len(member), 3), math.nan), np.zeros(len(member))
+    weight = np.array([s.sigma_rad**-2.0 for s in sources])
     for part, room in enumerate(_ROOM_RAD):
-        seen = [s for s in sources if not math.isnan(s.deviation_rad[part])]
-        held = [s for i, s in enumerate(sources) if i in subset and s in seen]
-        log_weight -= (len(seen) - len(held)) * math.log(room)
-        if not held:
+        shown = np.array([s.deviation_rad[part] for s in sources])
+        if not (seen := ~np.isnan(shown)).any():
             continue
-        values = np.array([s.deviation_rad[part] for s in held])
+        held = member & seen
+        some, count = held.any(axis=1), held.sum(axis=1)
+        values = np.where(held, shown, 0.0)
         if part == 0:
-            values = values[0] + np.asarray(wrap_pi(values - values[0]))
-        weight = np.array([s.sigma_rad**-2.0 for s in held])
-        centre[part] = float(weight @ values) / float(weight.sum())
-        spread = float(weight @ (values - centre[part]) ** 2)
-        log_weight += 0.5 * float(np.log(weight).sum() - math.log(float(weight.sum()))) - 0.5 * spread
-        log_weight -= 0.5 * (len(held) - 1) * math.log(2.0 * math.pi) + math.log(room)
+            first = shown[held.argmax(axis=1)][:, np.newaxis]
+            values = np.where(held, first + wrap_pi(shown - first), 0.0)
+        mine = np.where(held, weight, 0.0)
+        total = np.where(some, mine.sum(axis=1), 1.0)
+        mean = (mine * values).sum(axis=1) / total
+        spread = (mine * (values - mean[:, np.newaxis]) ** 2).sum(axis=1)
+        centre[some, part] = mean[some]
+        log_weight -= (seen.sum() - count) * math.log(room)
+        known = np.where(held, np.log(weight), 0.0).sum(axis=1) - np.log(total) - spread
+        log_weight += some * (0.5 * known - 0.5 * (count - 1) * math.log(2.0 * math.pi) - math.log(room))
     return centre, log_weight
-
-
-def _error2(source: HeadingSource, centre: FloatArray, sound: bool) -> float:
-    """Return the mean square error over the circle of a source, one of those about the centre or not (J2)."""
-    away = np.nan_to_num(np.asarray(source.deviation_rad) - centre)
-    apart2 = float(wrap_pi(away[0])) ** 2 + 0.5 * float(away[1:] @ away[1:])
-    return max(source.sigma_rad**2, apart2) if sound else source.sigma_rad**2 + apart2

@@ -193,7 +193,7 @@ class _CurrentCoupling:
 
     def swing_mgauss(self) -> float:
         """Return how far the field goes with the current, 0 where they are not seen to go together."""
-        if self._seen.weight < 0.3:
+        if self._seen.weight < 0.3 or self._seen.products[2, 2] < _SPREAD_A**2:
             return 0.0
         (ii, ih, iz), (_, hh, _), (_, _, zz) = self._seen.beside(2, _NO_TURN_RAD)
         if ii < _SPREAD_A**2 or ih * ih + iz * iz < 0.4 * ii * (hh + zz):
@@ -283,11 +283,11 @@ class CompassWatch:
         if 1 not in instances:
             return {}
         found = isolate_faults([self._source(i) for i in instances])
-        apart_deg = [math.degrees(found.apart_rad(k)) for k in range(len(instances))]
         if found.undecided:
-            text = f"The compasses point {abs(apart_deg[-1]):.0f} deg apart; a turn tells which is wrong."
-            return {instances[-1]: (apart_deg[-1], text)}
-        return {instances[k]: (apart_deg[k], found.why(k)) for k in found.blamed}
+            apart_deg = math.degrees(found.apart_rad(len(instances) - 1))
+            text = f"The compasses point {abs(apart_deg):.0f} deg apart; a turn tells which is wrong."
+            return {instances[-1]: (apart_deg, text)}
+        return {instances[k]: (math.degrees(found.apart_rad(k)), found.why(k)) for k in found.blamed}
 
     def _source(self, instance: int) -> HeadingSource:
         """Return what one compass shows; what the limits allow counts as two sigmas of a sound one."""
