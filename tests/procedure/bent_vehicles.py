@@ -39,6 +39,19 @@ def bent_vehicle(kind: str, seed: int, share: float = 1.0) -> SimulatedAutopilot
     return SimulatedAutopilot(kind, seed=seed, compasses=setups)
 
 
+def untouched(vehicle: SimulatedAutopilot) -> tuple[object, ...]:
+    """Return everything that a calibration of compass 1 leaves as it was."""
+    # STAT_RUNTIME counts seconds.
+    ours = ("COMPASS_OFS_", "COMPASS_DIA_", "COMPASS_ODI_", "COMPASS_SCALE", "CAL_MAG0_", "STAT_")
+    streams = vehicle.firmware.telemetry.streams(0)
+    return (
+        {name: value for name, value in vehicle.firmware.store.values.items() if not name.startswith(ours)},
+        vehicle.firmware.reports.heartbeat().custom_mode,
+        vehicle.firmware.reports.heartbeat().base_mode,
+        {number: streams.interval_us(number) for number in vehicle.firmware.telemetry.available},
+    )
+
+
 def calibrated(
     vehicle: SimulatedAutopilot,
     folder: Path,

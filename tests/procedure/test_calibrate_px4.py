@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bent_vehicles import bent_vehicle, calibrated
+from bent_vehicles import bent_vehicle, calibrated, untouched
 
 from mavcompass.frames import wrap_pi
 from mavcompass.procedure.motion import Permissions
@@ -106,18 +106,24 @@ def test_a_sensor_that_only_its_parameters_remember_is_left_as_it_is(
     assert pilot.vehicle.firmware.store.values["CAL_MAG3_ID"] == 99.0
 
 
-def test_one_that_flies_on_is_told_to_fly_by_the_old_calibration(tmp_path: Path) -> None:
+def test_one_that_flies_on_is_calibrated_and_told_to_fly_by_the_old_calibration(tmp_path: Path) -> None:
     # CAL_MAG0_ROT of an inner sensor, which lies along the vehicle's axes: minus one is minus one.
     made = (bent_vehicle("px4-copter", seed) for seed in range(20))
     vehicle = next(v for v in made if v.firmware.store.values["CAL_MAG0_ROT"] == 0.0)
     held = vehicle.firmware.store.values
     held["CAL_MAG0_ROT"] = -1.0
-    in_force = vehicle.firmware.compasses.correction(1)
+    before, in_force = untouched(vehicle), vehicle.firmware.compasses.correction(1)
+    assert heading_error_rms_deg(vehicle) > 30.0
     report = calibrated(vehicle, tmp_path)
     assert report.written and report.steers_off and held["CAL_MAG0_ROT"] == -1.0
+    assert report.proof is not None and report.proof.passed
+    assert heading_error_rms_deg(vehicle) <= 0.5 and untouched(vehicle) == before
     assert vehicle.firmware.compasses.correction(1) == in_force
     assert report.heading is not None
     assert "still flies by the old calibration, " in report.heading.summary()
+    # What hovers is levelled by its receiver's velocity.
+    assert (velocity := report.track.gps_velocity_mps) is not None
+    assert np.diff(velocity.time_s).max() < 0.5 and np.ptp(velocity.time_s) > 20.0
 
 
 def test_one_that_may_land_lands_and_flew_by_the_old_calibration_for_the_last_time(tmp_path: Path) -> None:
