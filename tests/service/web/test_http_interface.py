@@ -3,46 +3,83 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from running_service import RunningService, StartService, wait_for
+from running_service import RunningService, StartService, configured, wait_for
 from websockets.sync.client import connect
 
 from mavcompass.service.config import HeadingConfig
+from mavcompass.service.run import Service
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.vehicle.links.simulated import SimulatedLink
 
 
-def test_a_calibration_from_request_to_undo(running: RunningService) -> None:
-    assert running.link is not None
-    before = running.client.get("/api/parameters").json()["parameters"]
-    assert heading_error_rms_deg(running.link.autopilot) > 10.0  # type: ignore[arg-type]
+class Asked:
+    """A service that was asked for a calibration twice: no was answered, then yes."""
 
-    task = running.calibrate(writing="yes", compasses=[1])
+    def __init__(self, running: RunningService) -> None:
+        assert running.link is not None
+        self.running, self.client, self.vehicle = running, running.client, running.link.autopilot
+        self.held, self.off_deg, self.asking, self.tasks = [self.parameters()], [self.error_deg()], [], []
+        for yes in (False, True):
+            task = self.client.post("/api/calibration", json={"compasses": [1]}).json()
+            self.asking.append(wait_for(self.question))
+            assert self.client.post("/api/task/answer", json={"yes": yes}).status_code == 200
+            self.tasks.append(running.finish(task))
+            self.held.append(self.parameters())
+            self.off_deg.append(self.error_deg())
+
+    def parameters(self) -> dict[str, float]:
+        return dict(wait_for(lambda: self.client.get("/api/parameters").json().get("parameters")))
+
+    def question(self) -> dict[str, Any] | None:
+        now: dict[str, Any] = self.client.get("/api/task").json()
+        return now if now["state"] == "asking" else None
+
+    def error_deg(self) -> float:
+        return heading_error_rms_deg(self.vehicle)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def asked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Asked]:
+    link = SimulatedLink.of("rover", seed=3, speed=20.0)
+    service = Service(configured(tmp_path_factory.mktemp("asked")), lambda: link)
+    with RunningService(service, link) as running:
+        yield Asked(running)
+
+
+def test_the_person_is_asked_before_anything_is_written(asked: Asked) -> None:
+    assert all("COMPASS_OFS_X" in "".join(asking["details"]) for asking in asked.asking)
+    assert [task["document"]["written"] for task in asked.tasks] == [False, True]
+    before, refused, written = (held["COMPASS_OFS_X"] for held in asked.held)
+    assert before == refused != written
+
+
+def test_a_calibration_from_request_to_undo(asked: Asked) -> None:
+    running, task, (_, before, after) = asked.running, asked.tasks[1], asked.held
     assert (task["state"], task["ok"]) == ("done", True), task["error"]
     document = task["document"]
     assert document["schema"] == "mavcompass.calibration/1"
     assert document["written"] and document["verified"]
-    assert heading_error_rms_deg(running.link.autopilot) < 1.0  # type: ignore[arg-type]
+    assert asked.off_deg[1] > 10.0 and asked.off_deg[2] < 1.0
     assert task["fraction"] == 1.0
     fractions = [line["fraction"] for line in task["lines"]]
     assert fractions == sorted(fractions)
 
-    head = running.client.get("/api/history").json()["entries"][0]
-    assert head["kind"] == "calibration" and head["ok"] and head["has_report"]
-    entry = running.client.get(f"/api/history/{head['id']}").json()
+    entry = running.client.get(f"/api/history/{task['history_entry']}").json()
+    assert entry["kind"] == "calibration" and entry["ok"] and entry["has_report"]
     assert entry["document"] == document
     old_and_new = document["old_and_new"][0]
     assert old_and_new["old"]["offsets_mgauss"][0] == pytest.approx(before["COMPASS_OFS_X"], abs=1e-3)
     assert len(old_and_new["deviation"]) == 24
-    report = running.stranger.get(f"/api/history/{head['id']}/report")
+    report = running.stranger.get(f"/api/history/{entry['id']}/report")
     assert report.status_code == 200 and "Compass calibration" in report.text
-    recording = running.stranger.get(f"/api/history/{head['id']}/recording")
+    recording = running.stranger.get(f"/api/history/{entry['id']}/recording")
     assert len(recording.content) > 10_000
 
-    after = wait_for(lambda: running.client.get("/api/parameters").json().get("parameters"))
     assert after["COMPASS_OFS_X"] != pytest.approx(before["COMPASS_OFS_X"], abs=0.1)
     y = after["COMPASS_OFS_Y"]
     body = {"parameters": {"COMPASS_OFS_X": before["COMPASS_OFS_X"], "COMPASS_OFS_Y": y, "NO_SUCH": 1.0}}
@@ -50,23 +87,21 @@ def test_a_calibration_from_request_to_undo(running: RunningService) -> None:
     assert [d["differs"] for d in differences] == [True, False, True]
     assert differences[1]["now"] == y and differences[2]["now"] is None
 
-    undo = running.client.post("/api/undo", json={"entry": head["id"]})
+    undo = running.client.post("/api/undo", json={"entry": entry["id"]})
     assert undo.status_code == 202
     undone = running.finish(undo.json())
     assert undone["ok"], undone["error"]
     for lacking in ("report", "recording"):
         assert running.client.get(f"/api/history/{undone['history_entry']}/{lacking}").status_code == 404
-    restored = wait_for(lambda: running.client.get("/api/parameters").json().get("parameters"))
+    restored = asked.parameters()
     for name in document["compasses"][0]["parameters"]:
         assert restored[name] == pytest.approx(before[name], abs=1e-5), name
 
 
-def test_the_recording_of_a_calibration_is_read_like_any_other(
-    running: RunningService, tmp_path: Path
-) -> None:
+def test_the_recording_of_a_calibration_is_read_like_any_other(asked: Asked, tmp_path: Path) -> None:
     from mavcompass import api
 
-    task = running.calibrate(writing="never", compasses=[1])
+    running, task = asked.running, asked.tasks[0]
     path = tmp_path / "calibration.tlog"
     path.write_bytes(running.client.get(f"/api/history/{task['history_entry']}/recording").content)
     result = api.calibrate(api.read_track(path))
@@ -74,8 +109,8 @@ def test_the_recording_of_a_calibration_is_read_like_any_other(
     assert result.accepted
     assert result.correction.offsets_mgauss[:2] == pytest.approx(found[:2], abs=2.0)
 
-    asked = running.client.post("/api/gap", json={"entry": task["history_entry"]})
-    assert asked.status_code == 202
+    posted = running.client.post("/api/gap", json={"entry": task["history_entry"]})
+    assert posted.status_code == 202
     explained = wait_for(
         lambda: (t := running.client.get("/api/gap").json())["state"] in ("done", "failed") and t
     )
@@ -93,20 +128,6 @@ def test_one_point_is_asked_for_with_its_heading(running: RunningService) -> Non
     (compass,) = task["document"]["compasses"]
     assert compass["method"] == "one-point"
     assert compass["true_heading"] == {"heading_deg": pytest.approx(40.0), "sigma_deg": pytest.approx(1.0)}
-
-
-def test_the_person_is_asked_before_anything_is_written(running: RunningService) -> None:
-    before = running.client.get("/api/parameters").json()["parameters"]
-    for yes in (False, True):
-        task = running.client.post("/api/calibration", json={"compasses": [1]}).json()
-        asking = wait_for(lambda: (t := running.client.get("/api/task").json())["state"] == "asking" and t)
-        assert "COMPASS_OFS_X" in "".join(asking["details"])
-        answered = running.client.post("/api/task/answer", json={"yes": yes})
-        assert answered.status_code == 200
-        ended = running.finish(task)
-        assert ended["document"]["written"] is yes
-        now = wait_for(lambda: running.client.get("/api/parameters").json().get("parameters"))
-        assert (now["COMPASS_OFS_X"] != before["COMPASS_OFS_X"]) is yes
 
 
 def test_a_vehicle_that_its_compass_keeps_from_arming_is_armed_with_consent_to_both(
