@@ -13,13 +13,13 @@ LINES = {
     "package gap": (13_880, 10_500),
     "package simulation": (7_860, 5_800),
     "package attitude calibration heading": (9_630, 5_400),
-    "package vehicle messages enums.py": (7_740, 5_200),
+    "package vehicle messages enums.py": (7_760, 5_200),
     "package procedure": (6_540, 4_400),
     "package service": (5_550, 4_100),
     "package logs": (4_480, 3_600),
     "package cli": (4_090, 2_900),
     "package": (67_110, 46_500),
-    "tests": (44_510, 29_000),
+    "tests": (44_540, 29_000),
     "scripts": (8_810, 4_400),
 }
 

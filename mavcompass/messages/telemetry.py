@@ -39,6 +39,13 @@ def angular_rate_radps(imu: Any) -> FloatArray:
     return _columns(imu.xgyro, imu.ygyro, imu.zgyro) * RADPS_PER_MILLIRADPS
 
 
+def imu_vectors(imu: Any) -> tuple[tuple[float, ...], ...]:
+    """Read angular rate, specific force and field off one message: as above, without an array for each."""
+    w, a = RADPS_PER_MILLIRADPS, MPS2_PER_MILLI_G
+    rate, force = (imu.xgyro * w, imu.ygyro * w, imu.zgyro * w), (imu.xacc * a, imu.yacc * a, imu.zacc * a)
+    return rate, force, (float(imu.xmag), float(imu.ymag), float(imu.zmag))
+
+
 def imu_time_s(imu: Any) -> Any:
     """Read the time since boot off RAW_IMU (microseconds) or SCALED_IMU (milliseconds), seconds."""
     if hasattr(imu, "time_usec"):

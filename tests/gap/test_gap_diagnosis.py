@@ -16,9 +16,9 @@ import pytest
 from mavcompass.cli.main import main
 from mavcompass.errors import BadRecording, UsageError
 from mavcompass.gap import Diagnosis, diagnose_gap
-from mavcompass.gap.export.simulators import ardupilot_sitl, preset
-from mavcompass.gap.export.vehicle import Found, affine_map, settings_of
-from mavcompass.gap.trial.cases import Recipe, draw_label, make_track, stimulus_of, tracks_of
+from mavcompass.gap.export.simulators import ardupilot_sitl
+from mavcompass.gap.export.vehicle import Found, affine_map
+from mavcompass.gap.trial.cases import Recipe, draw_label, make_track, tracks_of
 from mavcompass.logs import write_track_csv
 from mavcompass.simulation import effects
 from mavcompass.track import Series, Track
@@ -136,24 +136,6 @@ def test_wandering_offset_is_unknown_and_never_a_cause() -> None:
     wanders = [effects.parse("bias_random_walk:sigma_mgauss_per_sqrt_s=1.5")]
     diagnosis = diagnose_gap(make_track(finer, wanders), make_track(replace(finer, seed=22)))
     assert diagnosis.verdict == "unknown" and diagnosis.unknown and not diagnosis.causes
-
-
-def test_preset_in_our_simulator_closes_the_gap_as_claimed(baseline: Track, tmp_path: Path) -> None:
-    diagnosis = diagnose("hard_iron:x=40,y=-25+misalignment:x=0.03,z=0.02", baseline)
-    path = tmp_path / "found.json"
-    path.write_text(preset(Found(settings_of(diagnosis.causes), "case")).text, encoding="utf-8")
-    distortion = effects.Distortion(effects.read_preset(path))
-    truth = effects.distortion(["hard_iron:x=40,y=-25", "misalignment:x=0.03,z=0.02"])
-    from mavcompass.simulation.physics.signals import ideal
-
-    stimulus = stimulus_of(RICH)
-    rng = np.random.default_rng(0)
-    made = distortion.apply(stimulus, ideal(stimulus), rng).mag_mgauss
-    true = truth.apply(stimulus, ideal(stimulus), rng).mag_mgauss
-    nominal = ideal(stimulus).mag_mgauss
-    left = np.mean((made - true) ** 2) / np.mean((nominal - true) ** 2)
-    assert 1.0 - left > 0.99
-    assert 1.0 - left == pytest.approx(diagnosis.field.shrink, abs=0.03)
 
 
 def test_export_inverts_what_the_firmware_simulates() -> None:

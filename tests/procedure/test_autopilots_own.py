@@ -73,13 +73,6 @@ def test_its_result_is_judged_by_ours_and_written_by_us(kind: str, tmp_path: Pat
     assert all(before[change.name] == pytest.approx(change.old) for change in report.plan.changes)  # type: ignore[union-attr]
 
 
-def test_without_a_restart_ardupilot_is_said_to_want_one(tmp_path: Path) -> None:
-    link = on_the_bench("rover")
-    report = own(link, tmp_path, writing="never")
-    assert not report.written and any("arms only after a restart" in said for said in report.messages)
-    assert link.autopilot.firmware.calibration.reboot_wanted  # type: ignore[attr-defined]
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_stop_cancels_it_in_the_autopilot_and_leaves_the_old_values(kind: str, tmp_path: Path) -> None:
     link, stop = on_the_bench(kind), StopRequest()
@@ -129,7 +122,7 @@ def test_a_vehicle_that_is_armed_is_refused(tmp_path: Path) -> None:
         own(SimulatedLink.of("rover", seed=4), tmp_path)
 
 
-def test_a_result_that_its_own_readings_contradict_is_not_written(
+def test_a_result_that_its_own_readings_contradict_is_not_written_and_a_restart_is_said_to_be_wanted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from mavcompass.vehicle.dialects import ardupilot
@@ -147,6 +140,8 @@ def test_a_result_that_its_own_readings_contradict_is_not_written(
     report = own(link, tmp_path)
     assert not report.accepted and "from what its readings say by" in report.results[0].reasons[0]
     assert report.results[0].evidence[0].contradicts and values_of(link) == before
+    assert not report.written and any("arms only after a restart" in said for said in report.messages)
+    assert link.autopilot.firmware.calibration.reboot_wanted  # type: ignore[attr-defined]
 
 
 def test_a_compass_whose_field_changes_fails_in_the_autopilot_and_is_refused(tmp_path: Path) -> None:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Iterable
 from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import ArrayLike
 
 from mavcompass.calibration.observation.rolling import RollingWitness
 from mavcompass.units import STANDARD_GRAVITY_MPS2
@@ -24,6 +22,7 @@ _FIELD_CHANCE = 7.5
 # Steadier than that no field is between two readings at rest.
 _FIELD_STEP_MGAUSS = 60.0
 _NOISE_SAMPLES = 40
+_Axes = Iterable[float]
 
 # What `Stillness.why_not` means, for a person.
 UNREST = {
@@ -104,15 +103,18 @@ class StillnessDetector:
         self._reason = "starting"
 
     def update(
-        self, time_s: float, gyro_radps: ArrayLike, acc_mps2: ArrayLike, mag_mgauss: ArrayLike
+        self,
+        time_s: float,
+        gyro_radps: Iterable[float],
+        acc_mps2: Iterable[float],
+        mag_mgauss: Iterable[float],
     ) -> Stillness:
         """Take one reading of each sensor, body FRD, and judge.
 
         A reading older than the one before (a late or repeated packet) changes nothing.
         """
-        gx, gy, gz = np.asarray(gyro_radps, dtype=np.float64).tolist()
-        ax, ay, az = np.asarray(acc_mps2, dtype=np.float64).tolist()
-        mx, my, mz = np.asarray(mag_mgauss, dtype=np.float64).tolist()
+        (gx, gy, gz), (ax, ay, az) = map(float, gyro_radps), map(float, acc_mps2)
+        mx, my, mz = map(float, mag_mgauss)
         if self._last is not None and time_s <= self._last[0]:
             return self._state(self._last[0])
         self._follow_gravity(time_s, (ax, ay, az))

@@ -118,12 +118,7 @@ class Rest:
         elif time_s <= self.time_s:
             return
         self.time_s, self.heard_s = time_s, heard.time_s
-        state = self.detector.update(
-            time_s,
-            telemetry.angular_rate_radps(message),
-            telemetry.acceleration_mps2(message),
-            telemetry.field_mgauss(message),
-        )
+        state = self.detector.update(time_s, *telemetry.imu_vectors(message))
         self.still_since_s = None if math.isnan(state.since_s) else state.since_s
         self.why_not = state.why_not
 

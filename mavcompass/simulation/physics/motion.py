@@ -219,11 +219,7 @@ class Body:
         a_north = ahead * c - right * s - _HOLD_PER_S2 * north - _HOLD_PER_S * v_north
         a_east = ahead * s + right * c - _HOLD_PER_S2 * east - _HOLD_PER_S * v_east
         v_north, v_east = v_north + a_north * dt, v_east + a_east * dt
-        self._sway = [
-            (north + v_north * dt, east + v_east * dt),
-            (v_north, v_east),
-            (a_north, a_east),
-        ]
+        self._sway = [(north + v_north * dt, east + v_east * dt), (v_north, v_east), (a_north, a_east)]
 
     def _climb_unpowered(self) -> float:
         """Return the climb rate without motors: a copter falls, a sub rises slowly."""
@@ -259,9 +255,9 @@ class Body:
             tilt = self.world.water_tilt(self.time_s)
         else:
             tilt = self._hover_tilt()
-        self.roll_rad, self.pitch_rad, self.roll_rate_radps, self.pitch_rate_radps = (
-            a + b for a, b in zip(tilt, self._leaning, strict=True)
-        )
+        leaning = self._leaning
+        self.roll_rad, self.pitch_rad = tilt[0] + leaning[0], tilt[1] + leaning[1]
+        self.roll_rate_radps, self.pitch_rate_radps = tilt[2] + leaning[2], tilt[3] + leaning[3]
         self.rotation = rotation_matrix(self.roll_rad, self.pitch_rad, self.yaw_rad)
         self.rate_radps = self._body_rate()
         self.specific_force_mps2 = self._specific_force()
@@ -279,16 +275,17 @@ class Body:
     def _hover_tilt(self) -> tuple[float, float, float, float]:
         """Lean into the wind, back to the place, and as the gusts will."""
         c, s, w = math.cos(self.yaw_rad), math.sin(self.yaw_rad), self.yaw_rate_radps
-        g, (place, velocity, acceleration) = STANDARD_GRAVITY_MPS2, self._sway
-        lean = [
-            wind - (_HOLD_PER_S2 * x + _HOLD_PER_S * v) / g
-            for wind, x, v in zip(self._lean_ned, place, velocity, strict=True)
-        ]
-        rate = [
-            -(_HOLD_PER_S2 * v + _HOLD_PER_S * a) / g for v, a in zip(velocity, acceleration, strict=True)
-        ]
-        ahead, right = lean[0] * c + lean[1] * s, -lean[0] * s + lean[1] * c
-        ahead_rate, right_rate = rate[0] * c + rate[1] * s + right * w, -rate[0] * s + rate[1] * c - ahead * w
+        g, (wind_north, wind_east) = STANDARD_GRAVITY_MPS2, self._lean_ned
+        (x_north, x_east), (v_north, v_east), (a_north, a_east) = self._sway
+        north = wind_north - (_HOLD_PER_S2 * x_north + _HOLD_PER_S * v_north) / g
+        east = wind_east - (_HOLD_PER_S2 * x_east + _HOLD_PER_S * v_east) / g
+        north_rate = -(_HOLD_PER_S2 * v_north + _HOLD_PER_S * a_north) / g
+        east_rate = -(_HOLD_PER_S2 * v_east + _HOLD_PER_S * a_east) / g
+        ahead, right = north * c + east * s, -north * s + east * c
+        ahead_rate, right_rate = (
+            north_rate * c + east_rate * s + right * w,
+            -north_rate * s + east_rate * c - ahead * w,
+        )
         j = self._jitter
         return right + j[0], -ahead + j[1], right_rate + j[2], -ahead_rate + j[3]
 
@@ -307,4 +304,8 @@ class Body:
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         north, east = self._sway[2]
         north, east = north + ahead * c - right * s, east + ahead * s + right * c
-        return tuple(m[i] * north + m[3 + i] * east - g * m[6 + i] for i in range(3))  # type: ignore[return-value]
+        return (
+            m[0] * north + m[3] * east - g * m[6],
+            m[1] * north + m[4] * east - g * m[7],
+            m[2] * north + m[5] * east - g * m[8],
+        )

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -59,8 +59,7 @@ class CompassModel:
     noise_mgauss: float = 3.0
 
 
-@dataclass(frozen=True, slots=True)
-class ImuSample:
+class ImuSample(NamedTuple):
     """Hold what one IMU says."""
 
     gyro_radps: Vector
@@ -120,8 +119,7 @@ class Imu:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Surroundings:
+class Surroundings(NamedTuple):
     """Hold what else acts on the sensors at one moment."""
 
     current_a: float
