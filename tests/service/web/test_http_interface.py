@@ -130,31 +130,6 @@ def test_one_point_is_asked_for_with_its_heading(running: RunningService) -> Non
     assert compass["true_heading"] == {"heading_deg": pytest.approx(40.0), "sigma_deg": pytest.approx(1.0)}
 
 
-def test_a_vehicle_that_its_compass_keeps_from_arming_is_armed_with_consent_to_both(
-    start_service: StartService, disarmed: SimulatedLink
-) -> None:
-    running, store = start_service(disarmed), disarmed.autopilot.firmware.store  # type: ignore[attr-defined]
-    before = dict(store.values)
-    assert "disarmed" in running.calibrate(motion="vehicle", set_mode=True)["error"]
-    allowed: dict[str, Any] = {"motion": "vehicle", "arm": True, "set_mode": True}
-    for yes in (False, True):
-        task = running.client.post("/api/calibration", json=allowed).json()
-        asking = wait_for(lambda: (t := running.client.get("/api/task").json())["state"] == "asking" and t)
-        assert "aside until it is armed (ARMING_CHECK" in asking["question"]
-        assert store.values == before
-        running.client.post("/api/task/answer", json={"yes": yes})
-        if not yes:
-            assert "refused to arm" in running.finish(task)["error"]
-    wait_for(lambda: "Write" in (running.client.get("/api/task").json()["question"] or ""))
-    assert disarmed.autopilot.firmware.status.armed  # type: ignore[attr-defined]
-    assert store.values["ARMING_CHECK"] == before["ARMING_CHECK"]
-    running.client.post("/api/task/answer", json={"yes": True})
-    assert running.finish(task)["document"]["written"]
-    assert not disarmed.autopilot.firmware.status.armed  # type: ignore[attr-defined]
-    changed = {name for name, value in store.values.items() if before[name] != value}
-    assert changed and {name.split("_")[0] for name in changed} <= {"COMPASS", "STAT"}
-
-
 def test_a_calibration_makes_the_check_pass_and_the_heading_surer(running: RunningService) -> None:
     def check() -> dict[str, object]:
         task = running.client.post("/api/check", json={"turn": "vehicle"}).json()
