@@ -46,3 +46,7 @@ def check(diagnosis: Diagnosis, evidence: Evidence) -> None:
     for cause in diagnosis.causes:
         held = sum(weight for ids, weight in diagnosis.ambiguity_set if cause.effect in ids)
         assert cause.probability == pytest.approx(held, abs=1e-9)
+    if diagnosis.verdict == "named" and len(diagnosis.causes) == len(diagnosis.waterfall) == 1:
+        # It removes what the gap closes by, on the same held-out parts; what only scatters removes nothing.
+        closed = math.sqrt(diagnosis.field.nominal**2 - diagnosis.field.after**2)
+        assert diagnosis.causes[0].removes_mgauss == pytest.approx(closed, rel=0.01)
