@@ -1,0 +1,74 @@
+"""mavcompass through its public Python door; the settings are its defaults."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import mavcompass
+from compassbench.cases import UTC_S, Case
+from compassbench.rivals import Headings, Named, Refusal, Solution
+from mavcompass.correction import FieldCorrection
+from mavcompass.track import MagSeries, Series, Track
+
+
+def track_of(case: Case) -> Track:
+    """Put a case's columns into a Track, as a reader of a log would."""
+    whole = case.autopilot == "ardupilot"
+    compass = MagSeries(1, Series.of(case.mag_time, case.mag), quantum_mgauss=float(whole), truncated=whole)
+    course = None
+    if case.course is not None:
+        course = Series.of(case.time, np.column_stack([case.course, np.zeros(len(case.time))]))
+    return Track(
+        source=f"{case.kind} {case.index}",
+        autopilot=case.autopilot,
+        vehicle=case.vehicle,
+        compasses={1: compass},
+        acc_mps2=Series.of(case.time, case.acc),
+        gyro_radps=Series.of(case.time, case.gyro),
+        attitude_rad=Series.of(case.time, case.attitude),
+        gps_velocity_mps=course,
+        receiver_velocity_mps=course,
+        place=Series.of(case.time[:1], [case.place]),
+        current_a=None if case.current is None else Series.of(case.time, case.current),
+        utc_offset_s=UTC_S,
+    )
+
+
+def solve(case: Case, argument: str = "") -> Solution | Headings | Named:
+    """Do what the task asks for; a refusal of the package is one here."""
+    try:
+        return {"": calibrate, "heading": heading, "gap": gap}[argument](case)
+    except mavcompass.MavCompassError as refusal:
+        raise Refusal(str(refusal)) from refusal
+
+
+def calibrate(case: Case) -> Solution:
+    """Calibrate; where a turned mounting is told together with the correction that mends it, take that."""
+    result = mavcompass.calibrate(track_of(case))
+    turned = np.eye(3)
+    if result.mounting.mended is not None and result.mounting.turned is not None:
+        turned, result = np.asarray(result.mounting.turned), result.mounting.mended
+    if not result.accepted:
+        raise Refusal(" ".join(result.reasons))
+    found = result.correction
+    return Solution(
+        turned.T @ np.asarray(found.offsets_mgauss),
+        found.matrix @ turned,
+        np.asarray(found.motor_mgauss),
+        result.heading_sigma_deg,
+    )
+
+
+def heading(case: Case) -> Headings:
+    """Compute the headings by the calibration that is given."""
+    assert case.given is not None
+    found = mavcompass.heading(track_of(case), FieldCorrection.from_matrix(*case.given))
+    return Headings(found.magnetic_rad, found.magnetic_sigma_rad)
+
+
+def gap(case: Case) -> Named:
+    """Diagnose the flight beside its baseline."""
+    assert case.baseline is not None
+    found = mavcompass.diagnose_gap(track_of(case), track_of(case.baseline))
+    names = frozenset(cause.effect for cause in found.causes)
+    return Named(names, found.verdict in ("no_gap", "named"))
