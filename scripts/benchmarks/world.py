@@ -23,11 +23,12 @@ from typing import Any
 
 from compassbench import table
 from compassbench.cases import KINDS
+from compassbench.recordings import are_there
 from compassbench.rivals import RIVALS
 
 HERE = Path(__file__).resolve().parent
 PROJECT = HERE.parents[1]
-PEERS = ("magyc==1.0.0", "vqf==2.1.2", "ahrs==0.4.0")
+PEERS = ("magyc==1.0.0", "vqf==2.1.2", "ahrs==0.4.0", "pymavlink")
 CHUNK = 120
 QUICK = ("--count", "4")
 
@@ -42,7 +43,9 @@ def main(argv: Sequence[str] | None = None) -> dict[str, Any]:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--docs", action="store_true", help="put the tables into docs/compassbench.md")
     parser.add_argument("--seals", action="store_true", help="only check that the cases are those sealed")
-    parser.add_argument("--answers", type=Path, default=PROJECT / "build" / "compassbench.json", help="keep them there")
+    parser.add_argument(
+        "--answers", type=Path, default=PROJECT / "build" / "compassbench.json", help="keep them there"
+    )
     options = parser.parse_args(argv)
     with ThreadPoolExecutor(options.workers) as pool:
         broken = [kind for kind, same in zip(KINDS, pool.map(as_sealed, KINDS), strict=True) if not same]
@@ -82,7 +85,7 @@ def jobs_of(name: str, count: int | None) -> list[tuple[str, list[tuple[str, int
         (kind, index)
         for index in range(0, max(made.count for made in KINDS.values()), rival.every)
         for kind, made in KINDS.items()
-        if made.task == rival.task and index < min(made.count, count or made.count)
+        if made.task == rival.task and index < min(made.count, count or made.count) and are_there(kind)
     ]
     return [(name, cases[first : first + CHUNK]) for first in range(0, len(cases), CHUNK)]
 
@@ -120,7 +123,10 @@ def python_of_peers() -> Path | None:
     if not python.exists():
         print("Installing rivals into an environment of their own, once.", flush=True)
         venv.create(folder, with_pip=True)
-    if subprocess.run([python, "-c", "import magyc, vqf, ahrs"], capture_output=True).returncode == 0:
+    if (
+        subprocess.run([python, "-c", "import magyc, vqf, ahrs, pymavlink"], capture_output=True).returncode
+        == 0
+    ):
         return python
     done = subprocess.run([python, "-m", "pip", "install", "-q", *PEERS], capture_output=True, text=True)
     if done.returncode != 0:

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from compassbench.cases import EFFECTS, Case
-from compassbench.rivals import F, Headings, Named, Solution
+from compassbench.motions import F, matrices
+from compassbench.rivals import Headings, Named, Solution
 
 # A compass better than this is of the best class that makers of compass modules state (PNI's heading status).
 RIGHT_DEG = 2.0
@@ -29,6 +30,8 @@ def judged(case: Case, answer: Solution | Headings | Named) -> dict[str, Any]:
 def level_errors(case: Case, found: Solution) -> F:
     """Return the errors of the level magnetic heading on the circle, at each load, degrees (loads, 72)."""
     truth = case.truth
+    if truth.gain is None:
+        return recorded_errors(case, found)
     level, down = math.hypot(truth.field[0], truth.field[1]), truth.field[2]
     body = np.stack([level * np.cos(CIRCLE), -level * np.sin(CIRCLE), np.full(CIRCLE.size, down)], axis=1)
     all_loads = []
@@ -37,6 +40,23 @@ def level_errors(case: Case, found: Solution) -> F:
         field = (raw + found.offset) @ np.asarray(found.matrix).T + load * found.motor
         all_loads.append(_wrapped(np.arctan2(-field[:, 1], field[:, 0]) - CIRCLE))
     return np.array(all_loads)
+
+
+def recorded_errors(case: Case, found: Solution) -> F:
+    """Return the mean errors of a recording's nearly level and slow headings, by sectors of 30 degrees.
+
+    The means, for what a single reading is off by is not the calibration's: noise, lateness, a hall's steel.
+    """
+    truth = case.truth
+    tilt = matrices(np.column_stack([truth.euler[:, :2], np.zeros(len(truth.euler))]))
+    field = np.einsum("nij,nj->ni", tilt, (case.mag + found.offset) @ np.asarray(found.matrix).T)
+    magnetic = truth.euler[:, 2] - math.atan2(truth.field[1], truth.field[0])
+    off = np.exp(1j * (np.arctan2(-field[:, 1], field[:, 0]) - magnetic))
+    slow = np.linalg.norm(case.gyro_at_readings(), axis=1) < math.radians(10.0)
+    used = slow & (tilt[:, 2, 2] > math.cos(math.radians(30.0))) & (case.mag_time >= truth.from_s)
+    sector = np.floor(np.degrees(magnetic) / 30.0).astype(int) % 12
+    rows = [off[used & (sector == k)] for k in range(12)]
+    return np.degrees([np.angle(row.sum()) for row in rows if row.size >= 5])
 
 
 def heading(case: Case, found: Headings) -> dict[str, Any]:
