@@ -6,8 +6,10 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from mavcompass.calibration.methods import ellipsoid, four_positions, world_field
-from mavcompass.calibration.motion.left_out import calm_since_s, last_stretch, since
+from mavcompass.calibration.motion.left_out import WORTH_IT_RAD, calm_since_s, last_stretch, since
 from mavcompass.calibration.motion.observed import Motion, motion_or_none, observe_motion
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult, surest
@@ -29,7 +31,7 @@ def calibrate(recorded: Recorded) -> CalibrationResult:
     if recorded.windows is not None:
         return four_positions.calibrate(recorded)
     motion, change = motion_or_none(recorded), None
-    if motion is not None:
+    if motion is not None and not _is_of_one_iron(recorded, motion):
         motion, change = last_stretch(motion)
         if change is not None:
             recorded = since(recorded, float(motion.sections.start_s[0]))
@@ -41,6 +43,23 @@ def calibrate(recorded: Recorded) -> CalibrationResult:
     if change is not None:
         said.append(change.words())
     return replace(result, warnings=(*said, *result.warnings))
+
+
+def _is_of_one_iron(recorded: Recorded, motion: Motion) -> bool:
+    """Tell whether the field, seen from all sides, has one length throughout: then its iron never changed.
+
+    The length asks for no attitude. Whatever a fit of the motion leaves over is the attitude's then (a hand's
+    jerks), and what was recorded before it is as good as what came after.
+    """
+    raw = recorded.track.raw_field(recorded.instance, motors=False)
+    try:
+        fit = ellipsoid.fit_ellipsoid(raw)
+    except PoorCalibration:
+        return False
+    noise_mgauss = float(np.median(motion.sections.noise_mgauss))
+    left_mgauss = math.sqrt(max(fit.residual_rms_mgauss**2 - noise_mgauss**2, 0.0))
+    worth_it = WORTH_IT_RAD * motion.fit.horizontal_mgauss
+    return fit.coverage >= ellipsoid.LEAST_COVERAGE and left_mgauss < worth_it
 
 
 def _tried(

@@ -40,7 +40,7 @@ from mavcompass.frames import FloatArray
 _ROUNDS = 30
 _HUBER_SIGMAS = 3.0
 # With fewer directions than this share of the sphere's bins some parameters are extrapolation.
-_COVERAGE_BINS, _LEAST_COVERAGE = 80, 0.3
+_COVERAGE_BINS, LEAST_COVERAGE = 80, 0.3
 
 
 def calibrate(recorded: Recorded) -> CalibrationResult:
@@ -246,7 +246,7 @@ def length_result(
     # The length says nothing of what it leaves over; on the horizontal it turns the heading.
     noise, left = error.rms_rad(), fit.residual_rms_mgauss / horizontal
     reasons = []
-    if fit.coverage < _LEAST_COVERAGE:
+    if fit.coverage < LEAST_COVERAGE:
         reasons.append(
             f"The compass pointed to only {100.0 * fit.coverage:.0f} % of all directions. Turn it every way, "
             "or use the four-position method."

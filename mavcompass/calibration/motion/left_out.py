@@ -24,7 +24,7 @@ from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, circle_covered_rad, wrap_pi
 
 # A model error that bends the heading by less is not looked into: it may be chance, or the tilt's.
-_WORTH_IT_RAD = math.radians(0.5)
+WORTH_IT_RAD = math.radians(0.5)
 # A stretch is taken for what is left of the iron's change where its error is smaller by this factor.
 _BETTER = 0.4
 _EVEN_CUTS = 8
@@ -75,7 +75,7 @@ def last_stretch(motion: Motion) -> tuple[Motion, Change | None]:
     kept_out = _since_the_beginning_was_kept_out(motion)
     if kept_out is not None:
         return kept_out
-    worth_it = _WORTH_IT_RAD * motion.fit.horizontal_mgauss
+    worth_it = WORTH_IT_RAD * motion.fit.horizontal_mgauss
     if motion.fit.model_mgauss < worth_it:
         return motion, None
     found: tuple[Motion, float] | None = None
@@ -199,7 +199,7 @@ class Disturbed:
 def without_disturbed_stop(motion: Motion) -> Disturbed | None:
     """Leave out the stop that contradicts the rest; None where none does, or none alone."""
     error, stops = motion.fit.model_mgauss, _stops(motion.sections)
-    if error <= _WORTH_IT_RAD * motion.fit.horizontal_mgauss or not _FEWEST <= len(stops) <= _MOST:
+    if error <= WORTH_IT_RAD * motion.fit.horizontal_mgauss or not _FEWEST <= len(stops) <= _MOST:
         return None
     found: list[tuple[float, float, Motion]] = []
     for at_s, left_out in stops:

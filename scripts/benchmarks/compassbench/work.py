@@ -33,7 +33,7 @@ def solved(name: str, kind: str, index: int) -> dict[str, Any]:
     solve = import_module(f"compassbench.rivals.{rival.module}").solve
     case = case_of(kind, index)
     answer: dict[str, Any] = {"rival": name, "kind": kind, "index": index, "answerable": case.answerable}
-    signal.setitimer(signal.ITIMER_REAL, LIMIT_S)
+    signal.setitimer(signal.ITIMER_PROF, LIMIT_S)
     start = time.process_time()
     try:
         found = solve(case, rival.argument)
@@ -43,13 +43,13 @@ def solved(name: str, kind: str, index: int) -> dict[str, Any]:
     except Exception as error:
         answer["crashed"] = f"{type(error).__name__}: {error}"[:200]
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
     return {**answer, "seconds": time.process_time() - start}
 
 
 def main(name: str) -> None:
     """Solve the cases (pairs of kind and index) that standard input lists as JSON, and print."""
-    signal.signal(signal.SIGALRM, over)
+    signal.signal(signal.SIGPROF, over)
     warnings.simplefilter("ignore")
     np.seterr(all="ignore")
     for kind, index in json.load(sys.stdin):

@@ -11,6 +11,13 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.track import MagSeries, Series, Track
 
 
+# What vehicles report of an external compass that is set to lie along the vehicle.
+EXTERNAL = {
+    "px4": {f"CAL_MAG0_{name}": 0.0 for name in ("ROT", "ROLL", "PITCH", "YAW")},
+    "ardupilot": {"COMPASS_EXTERNAL": 1.0, "COMPASS_ORIENT": 0.0},
+}
+
+
 def track_of(case: Case) -> Track:
     """Put a case's columns into a Track, as a reader of a log would."""
     whole = case.autopilot == "ardupilot"
@@ -31,6 +38,7 @@ def track_of(case: Case) -> Track:
         place=Series.of(case.time[:1], [case.place]),
         current_a=None if case.current is None else Series.of(case.time, case.current),
         utc_offset_s=UTC_S,
+        parameters=EXTERNAL[case.autopilot],
     )
 
 
