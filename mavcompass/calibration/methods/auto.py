@@ -6,8 +6,6 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-
 from mavcompass.calibration.methods import ellipsoid, four_positions, world_field
 from mavcompass.calibration.motion.left_out import WORTH_IT_RAD, calm_since_s, last_stretch, since
 from mavcompass.calibration.motion.observed import Motion, motion_or_none, observe_motion
@@ -48,18 +46,15 @@ def calibrate(recorded: Recorded) -> CalibrationResult:
 def _is_of_one_iron(recorded: Recorded, motion: Motion) -> bool:
     """Tell whether the field, seen from all sides, has one length throughout: then its iron never changed.
 
-    The length asks for no attitude. Whatever a fit of the motion leaves over is the attitude's then (a hand's
-    jerks), and what was recorded before it is as good as what came after.
+    The length asks for no attitude; what the motion's fit leaves over is the attitude's then, a hand's jerks.
     """
-    raw = recorded.track.raw_field(recorded.instance, motors=False)
     try:
-        fit = ellipsoid.fit_ellipsoid(raw)
+        fit = ellipsoid.fit_ellipsoid(recorded.track.raw_field(recorded.instance, motors=False))
     except PoorCalibration:
         return False
-    noise_mgauss = float(np.median(motion.sections.noise_mgauss))
-    left_mgauss = math.sqrt(max(fit.residual_rms_mgauss**2 - noise_mgauss**2, 0.0))
+    left_mgauss2 = fit.residual_rms_mgauss**2 - motion.sections.noise_mgauss**2
     worth_it = WORTH_IT_RAD * motion.fit.horizontal_mgauss
-    return fit.coverage >= ellipsoid.LEAST_COVERAGE and left_mgauss < worth_it
+    return fit.coverage >= ellipsoid.LEAST_COVERAGE and left_mgauss2 < worth_it**2
 
 
 def _tried(

@@ -15,27 +15,15 @@ from compassbench.rivals import RIVALS
 
 Answers = Sequence[dict[str, Any]]
 BEGIN, END = "<!-- made by scripts/bench world -- --docs -->\n", "<!-- end -->"
-
-
-def outcome(answer: dict[str, Any]) -> str:
-    """Say what became of a calibration."""
-    if "crashed" in answer:
-        return "crashed"
-    if "refused" in answer:
-        return "refused wrongly" if answer["answerable"] else "refused rightly"
-    return "right" if answer["rms"] <= RIGHT_DEG else "wrong"
+OWN = {"calibration": "mavcompass", "heading": "mavcompass heading", "gap": "mavcompass gap"}
+OUTCOMES = ("right", "refused rightly", "wrong", "refused wrongly", "crashed")
 
 
 def of(answers: Answers) -> str:
     """Return all tables as Markdown."""
-    parts = [
-        _calibration(answers),
-        _by_kind(answers),
-        _headings(answers),
-        _gaps(answers),
-        _not_first(answers),
-    ]
-    return "\n".join(part for part in parts if part)
+    return "\n".join(
+        [_calibration(answers), _by_kind(answers), _headings(answers), _gaps(answers), _ahead(answers)]
+    )
 
 
 def put_into(page: Path, words: str) -> None:
@@ -46,153 +34,136 @@ def put_into(page: Path, words: str) -> None:
 
 def checks(answers: Answers) -> list[dict[str, Any]]:
     """Return what the bench shows beside what was wanted."""
-    own = [a for a in _of(answers, "mavcompass")]
+    own = _of(answers, OWN["calibration"])
     if not own:
         return []
     wrong = sum(outcome(a) in ("wrong", "crashed") for a in own) / len(own)
-    within = [a["within"][1] for a in own if "within" in a]
+    within = float(np.mean([a["within"][1] for a in own if "within" in a]))
     return [
         {"what": "mavcompass: share of calibrations wrong or crashed", "value": wrong, "at_most": 0.01},
-        {"what": "mavcompass: headings within two sigmas", "value": float(np.mean(within)), "at_least": 0.95},
+        {"what": "mavcompass: headings within two sigmas", "value": within, "at_least": 0.95},
     ]
+
+
+def outcome(answer: dict[str, Any]) -> str:
+    """Say what became of an answer."""
+    if "crashed" in answer:
+        return "crashed"
+    if "refused" in answer:
+        return "refused wrongly" if answer["answerable"] else "refused rightly"
+    return answer.get("said") or ("right" if answer["rms"] <= RIGHT_DEG else "wrong")
 
 
 def _of(answers: Answers, rival: str, kind: str | None = None) -> list[dict[str, Any]]:
     return [a for a in answers if a["rival"] == rival and kind in (None, a["kind"])]
 
 
-def _rivals(answers: Answers, task: str) -> list[str]:
-    there = {a["rival"] for a in answers}
-    return [name for name, rival in RIVALS.items() if name in there and rival.task == task]
+def _who(answers: Answers, task: str) -> tuple[list[str], list[str]]:
+    """Return the rivals and the kinds of a task that there are."""
+    names, kinds = ({a[what] for a in answers} for what in ("rival", "kind"))
+    return (
+        [name for name, rival in RIVALS.items() if name in names and rival.task == task],
+        [kind for kind, made in KINDS.items() if kind in kinds and made.task == task],
+    )
 
 
-def _rows(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 
 
-def _spread(some: Sequence[dict[str, Any]]) -> str:
+def _quantile(some: Answers, share: float) -> float | None:
     rms = [a["rms"] for a in some if "rms" in a]
-    return f"{np.median(rms):.2f} / {np.quantile(rms, 0.95):.1f}" if rms else "-"
+    return float(np.quantile(rms, share)) if rms else None
 
 
-def _covered(some: Sequence[dict[str, Any]]) -> str:
+def _good(some: Answers) -> float:
+    return sum(outcome(a) in ("right", "refused rightly") for a in some) / max(len(some), 1)
+
+
+def _mean_s(some: Answers) -> float:
+    return float(np.mean([a["seconds"] for a in some]))
+
+
+def _spread(some: Answers) -> str:
+    middle, wide = _quantile(some, 0.5), _quantile(some, 0.95)
+    return "-" if middle is None else f"{middle:.2f} / {wide:.1f}"
+
+
+def _covered(some: Answers) -> str:
     within = np.array([a["within"] for a in some if "within" in a])
-    return "{:.0f} / {:.0f} %".format(*(100.0 * within.mean(axis=0))) if len(within) else "claims none"
-
-
-def _seconds(some: Sequence[dict[str, Any]]) -> str:
-    return f"{np.mean([a['seconds'] for a in some]):.2g}"
+    return "{:.0f} / {:.0f} %".format(*(100.0 * within.mean(axis=0))) if len(within) else "-"
 
 
 def _calibration(answers: Answers) -> str:
     rows = []
-    for name in _rivals(answers, "calibration"):
+    for name in _who(answers, "calibration")[0]:
         some = _of(answers, name)
         count = Counter(map(outcome, some))
-        shares = [
-            f"{100.0 * count[what] / len(some):.1f}"
-            for what in ("right", "refused rightly", "wrong", "refused wrongly", "crashed")
-        ]
-        kind = "" if RIVALS[name].program else " *"
-        rows.append([name + kind, str(len(some)), *shares, _spread(some), _covered(some), _seconds(some)])
-    head = ["calibration", "cases", "right, %", "refused rightly", "wrong", "refused wrongly", "crashed"]
-    head += ["median / 95 %, deg", "within 1 / 2 sigma", "s"]
+        shares = [f"{100.0 * count[what] / len(some):.1f}" for what in OUTCOMES]
+        shown = name + ("" if RIVALS[name].program else " *")
+        rows.append([shown, str(len(some)), *shares, _spread(some), _covered(some), f"{_mean_s(some):.2g}"])
+    head = [
+        "calibration",
+        "cases",
+        "right, %",
+        *OUTCOMES[1:],
+        "median / 95 %, deg",
+        "within 1 / 2 sigma",
+        "s",
+    ]
     causes = Counter((a["rival"], a["crashed"]) for a in answers if "crashed" in a)
-    said = "\n".join(f"- {name}: {why} ({times} times)" for (name, why), times in causes.most_common(8))
-    return _rows(head, rows) + (f"\nCrashes:\n\n{said}\n" if said else "") if rows else ""
-
-
-def _good(some: Sequence[dict[str, Any]]) -> float:
-    return sum(outcome(a) in ("right", "refused rightly") for a in some) / max(len(some), 1)
+    said = [f"- {name} crashed {times} times: {why}" for (name, why), times in causes.most_common(8)]
+    return _table(head, rows) + "\n" + "\n".join(said) + "\n"
 
 
 def _by_kind(answers: Answers) -> str:
-    kinds = [kind for kind, made in KINDS.items() if made.task == "calibration"]
-    rows = [
-        [
-            name,
-            *(
-                f"{100.0 * _good(_of(answers, name, k)):.0f} · {_spread(_of(answers, name, k))}"
-                for k in kinds
-            ),
-        ]
-        for name in _rivals(answers, "calibration")
-    ]
-    own = _of(answers, "mavcompass")
-    covered = [_covered([a for a in own if a["kind"] == kind]) for kind in kinds]
-    return (
-        _rows(["% right · deg", *kinds], [*rows, ["mavcompass within 1 / 2 sigma", *covered]]) if rows else ""
-    )
+    names, kinds = _who(answers, "calibration")
+    rows = []
+    for name in names:
+        each = [_of(answers, name, kind) for kind in kinds]
+        rows.append([name, *(f"{100.0 * _good(some):.0f} · {_spread(some)}" for some in each)])
+    covered = [_covered(_of(answers, OWN["calibration"], kind)) for kind in kinds]
+    return _table(["% right · deg", *kinds], [*rows, ["mavcompass within 1 / 2 sigma", *covered]])
 
 
 def _headings(answers: Answers) -> str:
-    kinds = [kind for kind, made in KINDS.items() if made.task == "heading"]
-    rows = [
-        [
-            name,
-            *(_spread(_of(answers, name, kind)) for kind in kinds),
-            *(_covered(_of(answers, name)), _seconds(_of(answers, name))),
-        ]
-        for name in _rivals(answers, "heading")
-    ]
-    head = ["heading, deg rms", *(kind.removeprefix("heading ") for kind in kinds), "within 1 / 2 sigma", "s"]
-    return _rows(head, rows) if rows else ""
+    names, kinds = _who(answers, "heading")
+    rows = []
+    for name in names:
+        some = _of(answers, name)
+        each = [_spread(_of(answers, name, kind)) for kind in kinds]
+        rows.append([name, *each, _covered(some), f"{_mean_s(some):.2g}"])
+    short = [kind.removeprefix("heading ") for kind in kinds]
+    return _table(["heading, deg rms", *short, "within 1 / 2 sigma", "s"], rows)
 
 
 def _gaps(answers: Answers) -> str:
-    kinds = [kind for kind, made in KINDS.items() if made.task == "gap"]
+    names, kinds = _who(answers, "gap")
     rows = []
-    for name in _rivals(answers, "gap"):
-        cells = []
-        for kind in kinds:
-            count = Counter(a["said"] if "said" in a else outcome(a) for a in _of(answers, name, kind))
-            cells.append(", ".join(f"{times} {said}" for said, times in count.most_common()))
-        rows.append([name, *cells, _seconds(_of(answers, name))])
-    return _rows(["gap", *(kind.removeprefix("gap ") for kind in kinds), "s"], rows) if rows else ""
+    for name in names:
+        counts = [Counter(map(outcome, _of(answers, name, kind))).most_common() for kind in kinds]
+        rows.append([name, *(", ".join(f"{times} {said}" for said, times in one) for one in counts)])
+    return _table(["gap", *(kind.removeprefix("gap ") for kind in kinds)], rows)
 
 
-def _not_first(answers: Answers) -> str:
-    """List every column in which somebody is ahead of mavcompass."""
+def _ahead(answers: Answers) -> str:
+    """List every column in which somebody is ahead of mavcompass; less is better in each."""
     lines: list[str] = []
 
-    def compare(
-        task: str, own: str, kind: str | None, what: str, figure: Callable[[Any], float | None]
-    ) -> None:
-        mine = figure(_of(answers, own, kind))
-        others = {
-            name: value
-            for name in _rivals(answers, task)
-            if name != own and (value := figure(_of(answers, name, kind))) is not None
-        }
-        if mine is None or not others:
-            return
-        best = min(others, key=lambda name: others[name])
-        if others[best] < mine:
-            lines.append(f"- {kind or task}, {what}: {best} {abs(others[best]):.3g}, {own} {abs(mine):.3g}")
+    def compare(task: str, kind: str | None, what: str, figure: Callable[[Answers], float | None]) -> None:
+        found = {name: figure(_of(answers, name, kind)) for name in _who(answers, task)[0]}
+        known = {name: value for name, value in found.items() if value is not None}
+        if OWN[task] in known and known[best := min(known, key=lambda name: known[name])] < known[OWN[task]]:
+            mine, theirs = abs(known[OWN[task]]), abs(known[best])
+            lines.append(f"- {kind or task}, {what}: {best} {theirs:.3g}, mavcompass {mine:.3g}")
 
-    def middle(some: Any) -> float | None:
-        rms = [a["rms"] for a in some if "rms" in a]
-        return float(np.median(rms)) if rms else None
-
-    def wide(some: Any) -> float | None:
-        rms = [a["rms"] for a in some if "rms" in a]
-        return float(np.quantile(rms, 0.95)) if rms else None
-
-    def seconds(some: Any) -> float:
-        return float(np.mean([a["seconds"] for a in some]))
-
-    for kind, made in KINDS.items():
-        if made.task == "calibration":
-            compare(made.task, "mavcompass", kind, "% right", lambda some: -100.0 * _good(some))
-        if made.task != "gap":
-            own = "mavcompass" if made.task == "calibration" else "mavcompass heading"
-            compare(made.task, own, kind, "median deg", middle)
-            compare(made.task, own, kind, "95 % deg", wide)
-    for task, own in (
-        ("calibration", "mavcompass"),
-        ("heading", "mavcompass heading"),
-        ("gap", "mavcompass gap"),
-    ):
-        compare(task, own, None, "seconds", seconds)
+    for task in ("calibration", "heading"):
+        for kind in _who(answers, task)[1]:
+            if task == "calibration":
+                compare(task, kind, "% right", lambda some: -100.0 * _good(some))
+            compare(task, kind, "median deg", lambda some: _quantile(some, 0.5))
+            compare(task, kind, "95 % deg", lambda some: _quantile(some, 0.95))
+        compare(task, None, "seconds", _mean_s)
+    compare("gap", None, "seconds", _mean_s)
     return "Where somebody is ahead of mavcompass:\n\n" + ("\n".join(lines) or "nowhere") + "\n"

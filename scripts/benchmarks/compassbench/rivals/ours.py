@@ -10,7 +10,6 @@ from compassbench.rivals import Headings, Named, Refusal, Solution
 from mavcompass.correction import FieldCorrection
 from mavcompass.track import MagSeries, Series, Track
 
-
 # What vehicles report of an external compass that is set to lie along the vehicle.
 EXTERNAL = {
     "px4": {f"CAL_MAG0_{name}": 0.0 for name in ("ROT", "ROLL", "PITCH", "YAW")},
