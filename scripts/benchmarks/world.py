@@ -60,10 +60,12 @@ def main(argv: Sequence[str] | None = None) -> dict[str, Any]:
         }
     others = python_of_peers() if any(RIVALS[name].own for name in options.rivals) else None
     jobs = [job for name in options.rivals for job in jobs_of(name, options.count)]
-    with ThreadPoolExecutor(options.workers) as pool:
-        answers = [one for some in pool.map(lambda job: answered(*job, others), jobs) for one in some]
     options.answers.parent.mkdir(parents=True, exist_ok=True)
-    options.answers.write_text(json.dumps(answers, indent=0) + "\n")
+    answers: list[dict[str, Any]] = []
+    with ThreadPoolExecutor(options.workers) as pool:
+        for some in pool.map(lambda job: answered(*job, others), jobs):
+            answers += some
+            options.answers.write_text(json.dumps(answers, indent=0) + "\n")
     words = table.of(answers)
     print(words)
     if options.docs:
