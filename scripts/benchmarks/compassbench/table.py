@@ -148,15 +148,30 @@ def _gaps(answers: Answers) -> str:
 
 
 def _ahead(answers: Answers) -> str:
-    """List every column in which somebody is ahead of mavcompass; less is better in each."""
+    """List every column in which somebody is ahead of mavcompass.
+
+    Shares are compared on the cases that both were given, errors on those that both answered.
+    """
     lines: list[str] = []
 
+    def case(answer: dict[str, Any]) -> tuple[str, int]:
+        return answer["kind"], answer["index"]
+
     def compare(task: str, kind: str | None, what: str, figure: Callable[[Answers], float | None]) -> None:
-        found = {name: figure(_of(answers, name, kind)) for name in _who(answers, task)[0]}
-        known = {name: value for name, value in found.items() if value is not None}
-        if OWN[task] in known and known[best := min(known, key=lambda name: known[name])] < known[OWN[task]]:
-            mine, theirs = abs(known[OWN[task]]), abs(known[best])
-            lines.append(f"- {kind or task}, {what}: {best} {theirs:.3g}, mavcompass {mine:.3g}")
+        best: tuple[float, str] | None = None
+        for name in _who(answers, task)[0]:
+            mine, theirs = _of(answers, OWN[task], kind), _of(answers, name, kind)
+            if what.endswith("deg"):
+                mine, theirs = ([a for a in some if "rms" in a] for some in (mine, theirs))
+            both = set(map(case, mine)) & set(map(case, theirs))
+            mine, theirs = ([a for a in some if case(a) in both] for some in (mine, theirs))
+            own, other = (figure(some) if some else None for some in (mine, theirs))
+            if name == OWN[task] or own is None or other is None or not other < own:
+                continue
+            said = f"{name} {abs(other):.3g}, mavcompass {abs(own):.3g} ({len(mine)} cases)"
+            best = min(best or (np.inf, ""), (other - own, said))
+        if best is not None:
+            lines.append(f"- {kind or task}, {what}: {best[1]}")
 
     for task in ("calibration", "heading"):
         for kind in _who(answers, task)[1]:

@@ -21,8 +21,10 @@ def solve(case: Case, argument: str = "") -> Solution:
         # Equal times would be divided by.
         fresh = np.concatenate([[True], np.diff(case.mag_time) > 0.0])
         found = method(gauss[fresh], case.gyro_at_readings()[fresh], case.mag_time[fresh])
+    if any(np.iscomplexobj(part) for part in found[:2]):
+        raise ValueError("its iron is of complex numbers")
     soft = np.eye(3) if argument == "sphere_fit" else np.asarray(found[1], dtype=float)
     hard = np.ravel(found[0]) * 1e3
-    if not (np.isfinite(hard).all() and np.isfinite(soft).all()) or np.iscomplexobj(soft):
+    if not (np.isfinite(hard).all() and np.isfinite(soft).all()):
         raise Refusal("its numbers are none")
     return Solution(-hard, np.linalg.inv(soft))
