@@ -12,16 +12,16 @@ ROOT = Path(__file__).parents[1]
 LINES = {
     "package gap": (13_880, 10_500),
     "package simulation": (7_860, 5_800),
-    "package attitude calibration heading": (9_545, 5_400),
-    "package vehicle messages enums.py": (7_740, 5_200),
-    "package procedure": (6_420, 4_400),
+    "package attitude calibration heading": (9_645, 5_400),
+    "package vehicle messages enums.py": (7_760, 5_200),
+    "package procedure": (6_540, 4_400),
     "package service": (5_550, 4_100),
     "package logs": (4_480, 3_600),
     "package cli": (4_090, 2_900),
-    "package": (66_890, 46_500),
-    "tests": (44_330, 29_000),
+    "package": (67_125, 46_500),
+    "tests": (44_645, 29_000),
     "scripts benchmarks/compassbench": (1_570, 1_000),
-    "scripts": (10_210, 5_400),
+    "scripts": (10_220, 4_400),
 }
 
 
