@@ -29,7 +29,7 @@ from mavcompass.calibration.observation.dwells import (
     dwell_between,
 )
 from mavcompass.calibration.observation.rolling import rolls
-from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD, accelerometer_sigma_rad
+from mavcompass.calibration.observation.tilt import UNSEEN_BIAS_RAD, accelerometer_sigma_rad
 from mavcompass.calibration.observation.turning import (
     GYRO_SCALE_SIGMA,
     TurnRecord,
@@ -230,8 +230,8 @@ def assemble(
 def accelerometer_of(track: Track, dwells: Sequence[Dwell]) -> float:
     """Return what roll and pitch are off by all along, 1 sigma of each, radians.
 
-    Only what stands, or hovers on the spot, leans as it does at rest, for the accelerometer to be judged by;
-    what travels takes its level from an estimator that a biased accelerometer does not move, but a gyro.
+    Only what stands, or hovers on the spot, leans as it does at rest, for the accelerometer to be judged by:
+    of what travels it may be any. Its level is moved by a vertical gyro's bias, too.
     """
     velocity = track.receiver_velocity_mps or track.gps_velocity_mps
     if velocity is not None and len(velocity):
@@ -239,6 +239,6 @@ def accelerometer_of(track: Track, dwells: Sequence[Dwell]) -> float:
         speed = np.linalg.norm(velocity.at(middles)[:, :2], axis=1)
         dwells = [d for d, mps in zip(dwells, speed, strict=True) if not mps > _STANDS_MPS]
     if len(dwells) < 3 or not all(math.isfinite(d.turned_rad) for d in dwells):
-        return math.hypot(TILT_BIAS_SIGMA_RAD, levels(track).lasting_rad)
+        return math.hypot(UNSEEN_BIAS_RAD, levels(track).lasting_rad)
     columns = np.array([(d.turned_rad, d.roll_rad, d.pitch_rad, d.tilt_sigma_rad) for d in dwells])
     return accelerometer_sigma_rad(*columns.T)

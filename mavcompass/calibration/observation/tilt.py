@@ -27,7 +27,9 @@ TILT_FLOOR_RAD = math.radians(0.02)
 TILT_BIAS_SIGMA_RAD = 0.001
 # What an accelerometer is off by, each axis, and how often: calibrated, to a thousandth of gravity (as
 # autopilots ask for); or not, by a tenth of a metre per second squared (datasheets: 20 to 60 mg).
-_ACCELEROMETERS = ((0.8, 0.001), (0.2, 0.1 / 9.81))
+_ACCELEROMETERS = ((0.8, TILT_BIAS_SIGMA_RAD), (0.2, 0.1 / 9.81))
+# Where nothing shows which of them it is.
+UNSEEN_BIAS_RAD = math.sqrt(sum(often * own**2 for often, own in _ACCELEROMETERS))
 # How vehicles stand, float or hover, averaged over a turn: upright, or as wheels, skids and hulls have it.
 _STANCES = ((0.5, math.radians(0.15)), (0.5, math.radians(1.5)))
 # Ground is rarely steeper.

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mavcompass.calibration.observation.tilt import accelerometer_sigma_rad
+from mavcompass.calibration.observation.tilt import UNSEEN_BIAS_RAD, accelerometer_sigma_rad
 from mavcompass.frames import FloatArray
 
 TURNED = np.radians([0.0, 90.0, 180.0, 270.0])
@@ -43,3 +43,9 @@ def test_without_a_turn_lean_and_slope_are_one() -> None:
     turned = np.zeros(4)
     flat = accelerometer_sigma_rad(turned, np.zeros(4), np.zeros(4), NOISE)
     assert flat > 3.0 * accelerometer_sigma_rad(TURNED, np.zeros(4), np.zeros(4), NOISE)
+
+
+def test_what_shows_nothing_leaves_it_as_likely_as_before() -> None:
+    """So that what travels, whose lean tells nothing, claims no less than what stands and shows little."""
+    nothing = accelerometer_sigma_rad(TURNED, np.zeros(4), np.zeros(4), np.full(4, 10.0))
+    assert nothing == pytest.approx(UNSEEN_BIAS_RAD, rel=0.05)
