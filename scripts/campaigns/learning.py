@@ -28,6 +28,7 @@ from made_up import EARTH, SCENARIOS, Truth, errors_deg, rocking, vehicle_of
 
 from mavcompass.calibration.methods.running import WINDOW_S, learn
 from mavcompass.calibration.recorded import Recorded
+from mavcompass.calibration.result import Limits
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
@@ -185,11 +186,11 @@ def drive(rng: np.random.Generator, off_deg: float, kind: str, tally: Tally) -> 
         compass = replace(part.compasses[1], not_applied=force)
         part = replace(part, compasses={1: compass})
         try:
-            learnt = learn(Recorded(part, 1, EARTH))
+            learnt = learn(Recorded(part, 1, EARTH, Limits(SURE_DEG, by_motion=True)))
         except PoorCalibration:
             continue
         result = learnt.result
-        if learnt.gain_deg < MARGIN_DEG or result.heading_sigma_deg > SURE_DEG:
+        if learnt.gain_deg < MARGIN_DEG:
             continue
         truth = [one for at, one in truths if at <= now_s][-1]
         old, new = (rms_deg(correction, truth) for correction in (force, result.correction))

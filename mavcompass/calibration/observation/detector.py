@@ -22,7 +22,6 @@ _FIELD_CHANCE = 7.5
 # Steadier than that no field is between two readings at rest.
 _FIELD_STEP_MGAUSS = 60.0
 _NOISE_SAMPLES = 40
-_Axes = Iterable[float]
 
 # What `Stillness.why_not` means, for a person.
 UNREST = {
