@@ -146,10 +146,17 @@ def hour(rng: np.random.Generator, off_deg: float, kind: str) -> tuple[Track, li
         ],
         axis=1,
     )
-    gyro = np.zeros((time.size, 3))
-    late = np.interp(time + rng.normal(0.0, 0.03), time, rate)
-    bias = math.radians(rng.normal(0.0, 0.02)) + wander(rng, time, math.radians(0.01), 60.0)
-    gyro[:, 2] = late * (1.0 + rng.normal(0.0, 0.01)) + bias + rng.normal(0.0, math.radians(0.3), time.size)
+    rolls, pitches = np.gradient(roll, STEP_S), np.gradient(pitch, STEP_S)
+    turned = [
+        rolls - rate * np.sin(pitch),
+        pitches * np.cos(roll) + rate * np.cos(pitch) * np.sin(roll),
+        rate * np.cos(pitch) * np.cos(roll) - pitches * np.sin(roll),
+    ]
+    late = time + rng.normal(0.0, 0.03)
+    gyro = np.stack([np.interp(late, time, axis) for axis in turned], axis=1)
+    gyro *= 1.0 + rng.normal(0.0, 0.01)
+    gyro[:, 2] += math.radians(rng.normal(0.0, 0.02)) + wander(rng, time, math.radians(0.01), 60.0)
+    gyro += rng.normal(0.0, math.radians(0.3), gyro.shape)
     estimated = [
         angle + wander(rng, time, math.radians(0.3), 5.0) + rocking(time.size, math.radians(0.02), rng)
         for angle in (roll, pitch)
