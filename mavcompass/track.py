@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.errors import BadRecording
@@ -69,11 +69,15 @@ class Series:
         wanted = np.asarray(time_s, dtype=np.float64)
         if not len(self):
             return np.full(wanted.shape + self.values.shape[1:], np.nan)
-        place = np.searchsorted(0.5 * (self.time_s[1:] + self.time_s[:-1]), wanted)
+        place = self.nearest_rows(wanted)
         near = np.abs(self.time_s[place] - wanted) < within_s
         found = np.array(self.values[place], dtype=np.float64)
         found[~near] = np.nan
         return found
+
+    def nearest_rows(self, time_s: FloatArray) -> NDArray[np.intp]:
+        """Return which reading is nearest in time, of one or more readings."""
+        return np.searchsorted(0.5 * (self.time_s[1:] + self.time_s[:-1]), time_s)
 
     def between(self, start_s: float, end_s: float) -> Series:
         """Cut out start_s <= time < end_s."""

@@ -156,7 +156,7 @@ def _told(time: FloatArray, attitude: Series | None) -> tuple[FloatArray, FloatA
     """Return the autopilot's time, roll and pitch nearest to each step; nan where none is near."""
     if attitude is None:
         return None
-    near = np.searchsorted(0.5 * (attitude.time_s[1:] + attitude.time_s[:-1]), time)
+    near = attitude.nearest_rows(time)
     at, angles = attitude.time_s[near], np.array(attitude.values[near, :2])
     fresh = np.abs(at - time) <= np.minimum(np.gradient(time), 0.1) if time.size > 1 else np.ones(1, bool)
     angles[~fresh] = np.nan

@@ -184,7 +184,7 @@ def _paired(other: Series, time_s: FloatArray) -> FloatArray:
     told = other.nearest(time_s, _NEAREST_S)
     if not len(other) or not time_s.size:
         return told
-    place = np.searchsorted(0.5 * (other.time_s[1:] + other.time_s[:-1]), time_s)
+    place = other.nearest_rows(time_s)
     nearest_first = np.lexsort((np.abs(other.time_s[place] - time_s), place))
     _, first = np.unique(place[nearest_first], return_index=True)
     chosen = np.full(told.shape, np.nan)
