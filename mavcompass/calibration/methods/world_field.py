@@ -22,10 +22,11 @@ from mavcompass.calibration.motion.findings import findings
 from mavcompass.calibration.motion.honesty import weigh_honestly
 from mavcompass.calibration.motion.left_out import without_disturbed_stop
 from mavcompass.calibration.motion.observed import Motion, observe_motion
-from mavcompass.calibration.positions.observability import hardly_known
+from mavcompass.calibration.positions.observability import hardly_known, unobserved
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
+from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray
 
 # Two halves of a recording may contradict each other by so many sigmas.
@@ -49,9 +50,8 @@ def calibrate_motion(motion: Motion) -> CalibrationResult:
     if disturbed is not None:
         motion = disturbed.motion
     honest = weigh_honestly(motion.sections, motion.fit, recorded.prior)
-    if recorded.earth is not None:
-        held = held_in_force(honest.state, motion.fit.covariance[:9, :9], recorded.in_force)
-        honest = replace(honest, state=held)
+    held = held_in_force(honest.state, motion.fit.covariance[:9, :9], recorded.in_force, recorded.earth)
+    honest = replace(honest, state=held)
     correction = correction_of(motion, honest.state)
     honest = honest.at_least(motion.scatter_left_rad(correction))
     honest = honest.at_least(math.hypot(honest.error.rms_rad(), motion.load_doubt_rad))
@@ -82,7 +82,9 @@ def calibrate_motion(motion: Motion) -> CalibrationResult:
         in_force=recorded.in_force,
         covariance_names=CALIBRATED,
         covariance=honest.error.covariance,
-        not_observable=("mounting_yaw",) if motion.reference is None else (),
+        not_observable=unobserved(motion.fit.covariance, recorded.prior)[
+            : None if motion.reference is None else -1
+        ],
         residual_rms_mgauss=math.sqrt(float((motion.fit.residual_mgauss**2).mean())),
         heading_sigma_deg=math.degrees(math.hypot(sigma, mounting)),
         heading_budget_deg={
@@ -101,15 +103,20 @@ def calibrate_motion(motion: Motion) -> CalibrationResult:
     return result.compared().within(recorded.limits)
 
 
-def held_in_force(state: FloatArray, covariance: FloatArray, in_force: FieldCorrection) -> FloatArray:
+def held_in_force(
+    state: FloatArray, covariance: FloatArray, in_force: FieldCorrection, earth: EarthField | None
+) -> FloatArray:
     """Return the state at which what the motion hardly shows is as in force, unless that contradicts it.
 
     What is said of it would be the prior's opinion: a calibration knows better. Its sigma stays the fit's.
-    Offsets that are all zero are no calibration.
+    Offsets that are all zero are no calibration, and the world model knows better than these.
     """
-    if not any(in_force.offsets_mgauss):
+    if earth is not None and not any(in_force.offsets_mgauss):
         return state
-    known = np.concatenate([-np.asarray(in_force.offsets_mgauss), gain_parameters(in_force.inverse)])
+    gains = gain_parameters(in_force.inverse)
+    if earth is None:
+        gains = gains * state[GAIN][:2].sum() / gains[:2].sum()
+    known = np.concatenate([-np.asarray(in_force.offsets_mgauss), gains])
     away = known - state[:9]
     hidden = hardly_known(covariance)
     while hidden.size:

@@ -118,14 +118,14 @@ def _left_out(fit: MotionFit, block: NDArray[np.intp]) -> float:
 
 def _scatter(sections: Sections, fit: MotionFit) -> float:
     """Return the heading scatter between sections that noise does not explain, radians."""
-    if fit.model_mgauss <= 0.0:
+    if fit.error.mgauss <= 0.0:
         return 0.0
     psi = fit.headings_rad
     east = np.stack([np.sin(psi), np.cos(psi), np.zeros(psi.size)], axis=1)
     across = np.einsum("kij,kj->ki", sections.mapping, east) @ np.linalg.inv(fit.gain) / fit.state[HORIZONTAL]
     angle = (across * fit.residual_mgauss).sum(axis=1)
     spread = np.einsum("ki,kij,kj->k", across, fit.variance_mgauss2, across)
-    model = fit.model_mgauss**2 * (across**2).sum(axis=1)
+    model = fit.error.mgauss**2 * (across**2).sum(axis=1)
     share = fit.sound / sections.repeats
     share = share / share.sum()
     seen = float(share @ angle**2) - float(share @ (spread - model))

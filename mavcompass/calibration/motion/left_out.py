@@ -76,18 +76,17 @@ def last_stretch(motion: Motion) -> tuple[Motion, Change | None]:
     if kept_out is not None:
         return kept_out
     worth_it = WORTH_IT_RAD * motion.fit.horizontal_mgauss
-    if motion.fit.model_mgauss < worth_it:
+    if motion.fit.error.mgauss < worth_it:
         return motion, None
     found: tuple[Motion, float] | None = None
+    best = motion
     for start in _candidates(motion):
         later = _anew(motion, start)
-        if later is None:
+        if later is None or later.fit.error.mgauss >= _BETTER * best.fit.error.mgauss:
             continue
-        best = motion.fit.model_mgauss if found is None else found[0].fit.model_mgauss
-        if best < worth_it:
+        best, found = later, (later, start)
+        if best.fit.error_mgauss < worth_it:
             break
-        if later.fit.model_mgauss < _BETTER * best:
-            found = later, start
     if found is None:
         return motion, None
     return _told(motion, *found)
@@ -126,12 +125,6 @@ def _dated(motion: Motion, later: Motion, moved_mgauss: float) -> float:
     off = np.linalg.norm(residual_of(motion.sections, later.fit), axis=1) > 0.5 * moved_mgauss
     explained = np.concatenate([[0], np.cumsum(np.where(off, 1, -1))])[:-1]
     return float(motion.sections.start_s[int(np.argmax(explained))])
-
-
-def calm_since_s(motion: Motion) -> float | None:
-    """Return the end of the last disturbed section; None where there is none."""
-    disturbed = np.flatnonzero(motion.fit.sound < 0.5)
-    return float(motion.sections.end_s[disturbed[-1]]) + _SETTLE_S if disturbed.size else None
 
 
 def since(recorded: Recorded, start_s: float) -> Recorded:
@@ -197,8 +190,11 @@ class Disturbed:
 
 
 def without_disturbed_stop(motion: Motion) -> Disturbed | None:
-    """Leave out the stop that contradicts the rest; None where none does, or none alone."""
-    error, stops = motion.fit.model_mgauss, _stops(motion.sections)
+    """Leave out the stop that contradicts the rest; None where none does, or none alone.
+
+    What stands lies as it is said to: there what seems an attitude is a field.
+    """
+    error, stops = motion.fit.error_mgauss, _stops(motion.sections)
     if error <= WORTH_IT_RAD * motion.fit.horizontal_mgauss or not _FEWEST <= len(stops) <= _MOST:
         return None
     found: list[tuple[float, float, Motion]] = []
@@ -210,8 +206,8 @@ def without_disturbed_stop(motion: Motion) -> Disturbed | None:
             later = motion.on(rest)
         except PoorCalibration:
             continue
-        if later.fit.model_mgauss < _EXPLAINED * error:
-            found.append((later.fit.model_mgauss, at_s, later))
+        if later.fit.error_mgauss < _EXPLAINED * error:
+            found.append((later.fit.error_mgauss, at_s, later))
     if not found:
         return None
     least, _, best = min(found, key=lambda one: one[0])

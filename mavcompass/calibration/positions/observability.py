@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from mavcompass.calibration.model import NAMES, OFFSET, HeadingError
 from mavcompass.calibration.observation import FourPositionData, Step
-from mavcompass.calibration.positions.four_positions import FourPositionsResult
 from mavcompass.calibration.positions.problem import PositionProblem, fit_positions
 from mavcompass.calibration.rigid import DEFAULT_PRIOR, IronPrior
 from mavcompass.correction import IDENTITY, FieldCorrection
@@ -24,12 +23,12 @@ _SCALES, _CROSSES = ("scale_x", "scale_y", "scale_z"), ("cross_xy", "cross_xz", 
 _REPORTED = (*NAMES[OFFSET], *_SCALES, *_CROSSES)
 
 
-def unobserved(fit: FourPositionsResult, prior: IronPrior = DEFAULT_PRIOR) -> tuple[str, ...]:
+def unobserved(covariance: FloatArray, prior: IronPrior = DEFAULT_PRIOR) -> tuple[str, ...]:
     """List the quantities that a fit could not determine: what is said of them is the prior's opinion.
 
     "mounting_yaw", a turn of the whole compass about the vertical, shows in no relative measurement.
     """
-    hidden = [_REPORTED[place] for place in hardly_known(fit.covariance, prior)]
+    hidden = [_REPORTED[place] for place in hardly_known(covariance, prior)]
     return (*hidden, "mounting_yaw")
 
 

@@ -60,7 +60,7 @@ def calibrate_positions(
     """
     fit = solve_four_positions(data, in_force, earth, prior)
     reasons, warnings = judge(data, fit, limits, prior)
-    hidden = unobserved(fit, prior)
+    hidden = unobserved(fit.covariance, prior)
     if "offset_z" in hidden and earth is not None:
         warnings = (
             *warnings,

@@ -16,8 +16,9 @@ from mavcompass.calibration.model import (
     OFFSET,
     gain_matrix,
 )
-from mavcompass.calibration.motion import fit, honesty, left_out
-from mavcompass.calibration.motion.fit import MotionFit, first_state, fit_motion, section_variance
+from mavcompass.calibration.motion import fit, honesty
+from mavcompass.calibration.motion.fit import MotionFit, first_state, fit_motion
+from mavcompass.calibration.motion.misfit import ModelError, section_variance
 from mavcompass.calibration.motion.sections import Sections
 from mavcompass.calibration.rigid import IronPrior
 from mavcompass.correction import FieldCorrection
@@ -87,7 +88,7 @@ def test_exact_sections_give_the_iron_the_headings_and_no_model_error(found: Mot
     assert found.offset_mgauss[:2] == pytest.approx(OFFSETS[:2], abs=0.05)
     assert found.gain == pytest.approx(gain_matrix(GAINS), abs=5e-3)
     assert found.headings_rad == pytest.approx(0.3 + sections_of().turned_rad, abs=1e-4)
-    assert found.model_mgauss == 0.0 and found.sound.min() > 0.999
+    assert found.error.mgauss == 0.0 and found.sound.min() > 0.999
     assert np.abs(found.residual_mgauss).max() < 0.05
     assert found.jacobian.shape == (4 * K - 1, HEADINGS + K) and found.whitened.shape == (4 * K - 1,)
     assert found.information @ found.covariance == pytest.approx(np.eye(HEADINGS + K), abs=1e-3)
@@ -134,15 +135,13 @@ def test_a_passing_magnet_is_kept_out() -> None:
     assert seen.sound[5] < 0.01 and np.delete(seen.sound, 5).min() > 0.95
     assert seen.offset_mgauss[:2] == pytest.approx(OFFSETS[:2], abs=0.6)
     assert seen.residual_mgauss[5] == pytest.approx([0.0, 30.0, 0.0], abs=1.5)
-    assert left_out.calm_since_s(motion_of(disturbed(), seen)) == 17.0 + 1.0
-    assert left_out.calm_since_s(motion_of(sections_of(), fit_motion(sections_of(), EARTH))) is None
 
 
 def test_what_is_wrong_everywhere_is_an_error_of_the_model() -> None:
     seen = fit_motion(sections_of(noise=6.0), EARTH)
-    assert seen.model_mgauss == pytest.approx(6.0, rel=0.25) and seen.sound.min() > 0.5
+    assert seen.error.mgauss == pytest.approx(6.0, rel=0.25) and seen.sound.min() > 0.5
     calm = fit_motion(sections_of(noise=0.2), EARTH)  # as one reading's noise of 1 mG makes of twenty
-    assert calm.model_mgauss == 0.0
+    assert calm.error.mgauss == 0.0
     assert fit.sigma_of(seen) > 10.0 * fit.sigma_of(calm)
 
 
@@ -174,8 +173,8 @@ def test_a_sections_variance_is_noise_steps_tilt_and_model(found: MotionFit) -> 
     sections = sections_of(
         hidden_mgauss=np.full((K, 3), 0.3), tilt_sigma_rad=np.full(K, 0.01), repeats=np.full(K, 2.0)
     )
-    single = section_variance(sections, found.state, 2.0, weighed=False)
-    both = section_variance(sections, found.state, 2.0)
+    single = section_variance(sections, found.state, ModelError(2.0), weighed=False)
+    both = section_variance(sections, found.state, ModelError(2.0))
     white = np.eye(3) / 20.0
     assert both - white == pytest.approx(2.0 * (single - white))
     # At heading 0.3: roll moves y by Z, and z by the field across; T on the outside.

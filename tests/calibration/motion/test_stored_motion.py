@@ -26,11 +26,11 @@ from mavcompass.calibration.motion.fit import (
     first_state,
     leaning_error,
     level_headings,
-    section_variance,
     sigma_of,
 )
 from mavcompass.calibration.motion.honesty import weigh_honestly
-from mavcompass.calibration.motion.left_out import calm_since_s, last_stretch, without_disturbed_stop
+from mavcompass.calibration.motion.left_out import last_stretch, without_disturbed_stop
+from mavcompass.calibration.motion.misfit import ModelError, section_variance
 from mavcompass.calibration.motion.observed import Motion, observe_motion
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import Limits
@@ -95,7 +95,7 @@ def test_fit(motion: Motion, as_stored: AsStored) -> None:
             "state": fit.state[:20],
             "sigma": np.sqrt(np.diag(fit.covariance))[:20],
             "sound": fit.sound,
-            "one": [fit.model_mgauss, fit.cost, fit.horizontal_mgauss, sigma_of(fit)],
+            "one": [fit.error.mgauss, fit.cost, fit.horizontal_mgauss, sigma_of(fit)],
             "residual": fit.residual_mgauss[::5],
             "leaning": leaning_error(motion.sections, fit)[:11],
             "level": level_headings(motion.sections, fit, 1.5)[::6],
@@ -111,8 +111,8 @@ def test_where_the_fit_begins(motion: Motion, as_stored: AsStored) -> None:
         {
             "first": first[:20],
             "prior": [np.diag(rules.rows.T @ rules.rows)[:17], rules.wanted, rules.of(fit.state)],
-            "variance": section_variance(s, fit.state, 2.0)[::6],
-            "unweighed": section_variance(s, fit.state, 2.0, weighed=False)[::9],
+            "variance": section_variance(s, fit.state, ModelError(2.0))[::6],
+            "unweighed": section_variance(s, fit.state, ModelError(2.0), weighed=False)[::9],
         }
     )
 
@@ -130,7 +130,6 @@ def test_what_it_may_claim(motion: Motion, as_stored: AsStored) -> None:
             "told": told,
             "halves": motion.halves_ratio(),
             "left": [motion.scatter_left_rad(correction) for correction in (IN_FORCE, IRON)],
-            "calm": calm_since_s(motion),
             "change": change,
             "later": later.fit.state[:9],
             "stop": None if disturbed is None else disturbed.motion.fit.state[:9],
