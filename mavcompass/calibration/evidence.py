@@ -18,10 +18,9 @@ from mavcompass.heading.evidence import (
     Evidence,
     compare,
     compass_heading,
-    heading_elsewhere,
     other_compasses,
 )
-from mavcompass.track import Series, Track
+from mavcompass.track import Track
 
 
 def gather(
@@ -70,13 +69,3 @@ def _by_itself(result: CalibrationResult) -> dict[str, float]:
         sigma = np.hypot(sigma, np.sqrt(np.diag(result.heading_error.covariance)[3:9]))
     away = gain_parameters(result.correction.inverse) - prior.gains
     return {"gains": float(np.abs(away / sigma).max())}
-
-
-def heading_by(
-    track: Track, name: str, results: Mapping[int, CalibrationResult], declination_rad: float
-) -> Series | None:
-    """Return the magnetic heading by a source of that name over the recording; None for one without."""
-    if not name.startswith("compass "):
-        return heading_elsewhere(track, name, declination_rad)
-    instance = int(name.removeprefix("compass "))
-    return _heading(track, instance, results.get(instance)).heading

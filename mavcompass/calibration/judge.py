@@ -19,20 +19,31 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcompass.calibration.evidence import gather
-from mavcompass.calibration.mounting import TURNED_RAD, as_set, mounted_turned, mounting_words, turned_compass
+from mavcompass.calibration.model import NO_HEADING_RAD
+from mavcompass.calibration.mounting import (
+    TURNED_RAD,
+    as_set,
+    likely_rotations,
+    mounting_words,
+    numbered,
+    turned_compass,
+)
+from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import BEYOND_CHANCE, CalibrationResult, Limits, Mounting, Witness
-from mavcompass.compass_parameters import is_calibrated, orientation_name, sensor_to_body
-from mavcompass.compass_parameters.orientations import NUMBERED, NUMBERED_WITHIN_RAD, angle_between, nearest
+from mavcompass.compass_parameters import is_calibrated, orientation_name
+from mavcompass.compass_parameters.orientations import NUMBERED_WITHIN_RAD, angle_between
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import PoorCalibration
-from mavcompass.frames import euler_to_matrix, wrap_pi
+from mavcompass.frames import FloatArray, euler_to_matrix, wrap_pi
 from mavcompass.heading.evidence import Evidence
-from mavcompass.heading.fault_isolation import RATHER_SOUND, FaultIsolation, isolate_faults
+from mavcompass.heading.fault_isolation import DOUBTED, RATHER_SOUND, FaultIsolation, isolate_faults
 from mavcompass.printable import named
 from mavcompass.track import Track
 
 # What is left after a numbered orientation is an angle of its own from here on.
 _FREE_RAD = math.radians(1.5)
+# From one number to the next, about any axis.
+_APART_RAD = math.radians(45.0)
 _LEAN_RAD = math.radians(15.0)
 _PLACELESS = "The place is unknown: nothing is held against the world's magnetic model."
 
@@ -181,39 +192,85 @@ def _right_already(result: CalibrationResult, track: Track) -> CalibrationResult
 # --- the mounting -------------------------------------------------------------------------------------
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Trial:
+    """Hold a compass calibrated as if it were mounted turned by a rotation (3, 3), and how likely that is."""
+
+    rotation: FloatArray
+    log_evidence: float
+    solved: CalibrationResult
+    evidence: Evidence
+    found: FaultIsolation
+
+
 def _as_mounted(
     case: Case, result: CalibrationResult, found: FaultIsolation
 ) -> tuple[Mounting, tuple[str, ...]] | None:
-    """Find the mounting with which a refused compass agrees with the sound sources; None for none.
+    """Find the likeliest mounting of a refused compass by all the evidence; None where that leaves it open.
 
     With it come the reasons, if any, not to accept the compass so mounted either.
     """
-    track, instance = case.track, result.instance
-    rotation = mounted_turned(track, result, case.others(result), case.earth, found)
-    if rotation is None:
+    believed = [found.sources[i] for i in found.likeliest if i > 0 and found.sound[i] > RATHER_SOUND]
+    if not believed:
         return None
-    in_force = sensor_to_body(track.autopilot, track.parameters, instance)
+    recorded = Recorded(case.track, result.instance, case.earth, case.limits, windows=case.windows)
+    # No other source can say more for a rotation than against another, at fault there and sound here.
+    reach = sum(_log_room(2.0 * math.pi, source.sigma_rad) - math.log(source.fault) for source in believed)
+    try:
+        likely = likely_rotations(recorded, reach)
+    except PoorCalibration:
+        return None
+    trials = [trial for one in likely if (trial := _tried(case, result, *one)) is not None]
+    if not trials:
+        return None
+    best = max(trials, key=lambda trial: trial.log_evidence)
+    alike = [angle_between(trial.rotation, best.rotation) < TURNED_RAD for trial in trials]
+    share = np.exp([trial.log_evidence - best.log_evidence for trial in trials])
+    unsure_rad = BEYOND_CHANCE * math.radians(best.solved.heading_sigma_deg)
+    if (
+        np.linalg.det(best.rotation) < 0.0
+        or share[alike].sum() < DOUBTED * share.sum()
+        or best.found.sound[0] < RATHER_SOUND
+        or angle_between(best.rotation, np.eye(3)) < max(TURNED_RAD, unsure_rad)
+    ):
+        return None
+    judged = _weighed(best.solved, best.evidence, best.found, case.limits)
+    return as_set(case.track, _told(case, judged, best.found), best.rotation), judged.reasons
+
+
+def _tried(case: Case, result: CalibrationResult, rotation: FloatArray, log_evidence: float) -> _Trial | None:
+    """Calibrate a compass as if it were turned by a rotation, and turn it further as the others tell."""
+    track, instance = case.track, result.instance
     for _ in range(3):
         turned = replace(case, track=turned_compass(track, instance, rotation))
         try:
             solved = case.solve(turned.track, instance)
         except PoorCalibration:
             return None
-        free = nearest(rotation @ in_force, NUMBERED)[1] > NUMBERED_WITHIN_RAD
         mounting = Mounting(seen=True, turned=rotation)
         solved = replace(solved, in_force=result.in_force.turned(rotation), mounting=mounting).compared()
         evidence = turned.evidence(solved)
-        again = isolate_faults(evidence.sources)
+        found = isolate_faults(evidence.sources)
+        others_rad = min(found.others_sigma_rad(0), NO_HEADING_RAD)
+        free = numbered(track, instance, rotation, NUMBERED_WITHIN_RAD) is rotation
+        # A number is as likely as all angles on the way to the next: so far off, one of these is likelier.
+        own_rad = max(_FREE_RAD, others_rad * math.sqrt(2.0 * _log_room(_APART_RAD, others_rad)))
         # Readings that are turned clockwise show a heading that much less.
-        away = again.apart_rad(0) if solved.accepted else 0.0
-        if abs(away) < (again.others_sigma_rad(0) if free else _FREE_RAD):
+        away = found.apart_rad(0) if solved.accepted else 0.0
+        if abs(away) < (others_rad if free else own_rad):
             break
-        rotation = euler_to_matrix(0.0, 0.0, away) @ rotation
-    unsure_rad = math.radians(solved.heading_sigma_deg)
-    if again.sound[0] < RATHER_SOUND or angle_between(rotation, np.eye(3)) < BEYOND_CHANCE * unsure_rad:
+        rotation = numbered(track, instance, euler_to_matrix(0.0, 0.0, away) @ rotation, own_rad)
+    else:
         return None
-    if free:  # its angle is known as well as the others' headings
-        sigma_deg = math.hypot(solved.heading_sigma_deg, math.degrees(again.others_sigma_rad(0)))
-        solved = solved.widened(sigma_deg, "mounting")
-    judged = _weighed(solved, evidence, again, case.limits)
-    return as_set(track, _told(case, judged, again), rotation), judged.reasons
+    # A free angle is known as well as the others' headings, a number as well as these bear it out.
+    unsure_deg = math.degrees(others_rad if free else abs(away))
+    solved = solved.widened(math.hypot(solved.heading_sigma_deg, unsure_deg), "mounting")
+    log_evidence += found.log_evidence
+    if free:
+        log_evidence -= _log_room(_APART_RAD, others_rad) + 2.0 * _log_room(_APART_RAD, NUMBERED_WITHIN_RAD)
+    return _Trial(rotation, log_evidence, solved, evidence, found)
+
+
+def _log_room(room_rad: float, sigma_rad: float) -> float:
+    """Return the log of how many angles are told apart within so much room; 0 where none is."""
+    return max(math.log(room_rad / (math.sqrt(2.0 * math.pi) * sigma_rad)), 0.0)

@@ -1,33 +1,33 @@
 """Which way is a compass mounted? The rotation between what it reads and the Earth's field in the body.
 
-With raw readings r and the expected field e, both less their means, the rotation R and gain g that leave
-the least of |e - g R r|^2 follow from the singular values C = sum e r^T = U S V^T (Kabsch 1976; Umeyama):
+With raw readings r and the expected field e, both less their means, the rotation R (and a gain g) that leave
+the least of |e - g R r|^2 follow from C = sum e r^T = U S V^T (Kabsch 1976; Umeyama):
 
-    R = U diag(1, 1, d) V^T,  d = det(U V^T),  g = (s1 + s2 + d s3) / |r|^2                          (O1)
-
-A sensor whose driver has an axis the wrong way round fits better with -d: no rotation mends that.
+    R = U diag(1, 1, d) V^T,  d = det(U V^T)                                                         (O1)
 """
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mavcompass.calibration.evidence import heading_by
+from mavcompass.calibration.model import HORIZONTAL, OFFSET, VERTICAL
+from mavcompass.calibration.motion.fit import MotionFit
+from mavcompass.calibration.motion.observed import observe_motion
+from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult, Mounting
 from mavcompass.calibration.rigid import DEFAULT_PRIOR
 from mavcompass.compass_parameters import mounting_values, sensor_to_body, values
 from mavcompass.compass_parameters.orientations import NUMBERED, angle_between, nearest
 from mavcompass.correction import IDENTITY
-from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration, Refused
-from mavcompass.frames import FloatArray, euler_to_matrix
-from mavcompass.heading.evidence import expected_field
-from mavcompass.heading.fault_isolation import RATHER_SOUND, FaultIsolation
+from mavcompass.frames import FloatArray
+from mavcompass.heading.compute import level_field
 from mavcompass.printable import named
 from mavcompass.track import Series, Track
 
@@ -37,33 +37,16 @@ TURNED_RAD = math.radians(20.0)
 _NUMBERED_RAD = 2.0 * DEFAULT_PRIOR.cross_sigma
 # A field that moves less than this in a second direction leaves the rotation open.
 _LEAST_SPREAD_MGAUSS = 20.0
-# A mirrored axis is said where it leaves less by this factor; what is believed leaves less of the field.
-_MIRRORED_RATIO, _BELIEVED_SHARE = 1.5, 0.35
+# Hard iron of 5 to 300 mG is usual on vehicles: two sigmas.
+_OFFSET_MGAUSS = 150.0
+_SIGNED_AXES = [
+    np.eye(3)[list(order)] * signs
+    for order in itertools.permutations(range(3))
+    for signs in itertools.product((1.0, -1.0), repeat=3)
+]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Rotation:
-    """Hold how a compass is turned against the mounting that is set.
-
-    Attributes:
-        matrix: to be applied to readings in body axes by the mounting that is set, (3, 3).
-        gain: of the field. residual_rms_mgauss: what it leaves, per axis.
-        mirrored: True where an axis has the wrong sign. believed: True where little of the field is left.
-    """
-
-    matrix: FloatArray
-    gain: float
-    residual_rms_mgauss: float
-    mirrored: bool
-    believed: bool
-
-    @property
-    def angle_rad(self) -> float:
-        """Return the angle of the rotation."""
-        return angle_between(self.matrix, np.eye(3))
-
-
-def find_rotation(raw_mgauss: ArrayLike, expected_mgauss: ArrayLike) -> Rotation:
+def find_rotation(raw_mgauss: ArrayLike, expected_mgauss: ArrayLike) -> FloatArray:
     """Find the rotation that makes raw readings (N, 3) the Earth's field in the body (N, 3), eq. (O1).
 
     Hard iron does not matter, soft iron bends the answer by a few degrees. `expected_mgauss` is by a heading
@@ -72,72 +55,54 @@ def find_rotation(raw_mgauss: ArrayLike, expected_mgauss: ArrayLike) -> Rotation
     """
     raw, expected = (np.asarray(v, dtype=np.float64) for v in (raw_mgauss, expected_mgauss))
     known = np.isfinite(raw).all(axis=1) & np.isfinite(expected).all(axis=1)
-    raw, expected = raw[known], expected[known]
-    if len(raw) >= 3:
-        raw, expected = raw - raw.mean(axis=0), expected - expected.mean(axis=0)
+    raw, expected = (v[known] - v[known].sum(axis=0) / max(known.sum(), 1) for v in (raw, expected))
     spread = np.linalg.svd(expected, compute_uv=False) / math.sqrt(max(len(expected), 1))
     if len(raw) < 3 or spread[1] < _LEAST_SPREAD_MGAUSS:
         raise PoorCalibration(
             "The vehicle turned too little to tell how the compass is mounted.",
             "Turn it all the way round, and tilt it by 20 degrees or more if it can be tilted.",
         )
-    left, values, right = np.linalg.svd(expected.T @ raw)
-    flip = float(np.sign(np.linalg.det(left @ right)))
-    power, size = float((expected**2).sum()), float((raw**2).sum())
-
-    def rest(sign: float) -> float:
-        agreement = float(values[0] + values[1] + sign * values[2])
-        return math.sqrt(max(power - agreement**2 / size, 0.0) / expected.size)
-
-    # A turn in a plane cannot tell a mirrored axis from none.
-    mirrored = spread[2] >= _LEAST_SPREAD_MGAUSS and rest(flip) > _MIRRORED_RATIO * rest(-flip)
-    return Rotation(
-        matrix=left @ np.diag([1.0, 1.0, flip]) @ right,
-        gain=float(values[0] + values[1] + flip * values[2]) / size,
-        residual_rms_mgauss=rest(flip),
-        mirrored=bool(mirrored),
-        believed=not mirrored and rest(flip) < _BELIEVED_SHARE * math.sqrt(power / expected.size),
-    )
+    left, _, right = np.linalg.svd(expected.T @ raw)
+    return np.asarray(left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right)
 
 
-def mounted_turned(
-    track: Track,
-    result: CalibrationResult,
-    others: Mapping[int, CalibrationResult],
-    earth: EarthField | None,
-    found: FaultIsolation,
-) -> FloatArray | None:
-    """Find how far a compass is turned against what is set, by the surest of the sources that are sound."""
-    believed = [i for i in found.likeliest if i > 0 and found.sound[i] > RATHER_SOUND]
-    if not believed:
-        return None
-    source = found.sources[min(believed, key=lambda i: found.sources[i].sigma_rad)]
-    declination = 0.0 if earth is None else earth.declination_rad
-    heading = heading_by(track, source.name, others, declination)
-    if heading is None:
-        # What tells no heading at each moment tells by how much this one is off.
-        rotation = euler_to_matrix(0.0, 0.0, -source.deviation_rad[0])
-    else:
-        strength = (
-            (earth.horizontal_mgauss, earth.ned_mgauss[2])
-            if earth is not None
-            else (result.horizontal_mgauss, result.vertical_mgauss)
-        )
-        time = track.compasses[result.instance].time_s
-        try:
-            seen = find_rotation(
-                track.raw_field(result.instance), expected_field(track, heading, time, *strength)
-            )
-        except PoorCalibration:
-            return None
-        if not seen.believed:
-            return None
-        rotation = seen.matrix
-    in_force = sensor_to_body(track.autopilot, track.parameters, result.instance)
+def numbered(track: Track, instance: int, rotation: FloatArray, within_rad: float) -> FloatArray:
+    """Return the rotation to the numbered orientation next to one, (3, 3), if it is as near as that."""
+    in_force = sensor_to_body(track.autopilot, track.parameters, instance)
     number, off = nearest(rotation @ in_force, NUMBERED)
-    if off < _NUMBERED_RAD:
-        rotation = NUMBERED[number] @ in_force.T
-    return rotation if angle_between(rotation, np.eye(3)) > TURNED_RAD else None
+    return NUMBERED[number] @ in_force.T if off < within_rad else rotation
+
+
+def likely_rotations(recorded: Recorded, reach: float) -> list[tuple[FloatArray, float]]:
+    """List rotations (3, 3) by which a compass may be turned, each with the log evidence of its readings.
+
+    Turned back rightly it reads (M1) by gains and hard iron that compasses have; otherwise the field turns
+    against the gyro, dips to the sky or leans against the vehicle. Tried are the right angles, these with an
+    axis the wrong way round (which no mounting mends), and the rotation that the headings of the likeliest
+    ask for. Left out is what lies beyond `reach` of the best. Raises PoorCalibration for too little motion.
+    """
+    track, instance = recorded.track, recorded.instance
+    motion = observe_motion(replace(recorded, track=turned_compass(track, instance, np.eye(3))))
+    raw, in_force = motion.sections.mean_mgauss, sensor_to_body(track.autopilot, track.parameters, instance)
+
+    def tried(rotation: FloatArray) -> tuple[FloatArray, float, MotionFit]:
+        fit = motion.on(replace(motion.sections, mean_mgauss=raw @ rotation.T)).fit
+        variance = fit.covariance[OFFSET, OFFSET] + _OFFSET_MGAUSS**2 * np.eye(3)
+        by_offset = fit.offset_mgauss @ np.linalg.solve(variance, fit.offset_mgauss)
+        return rotation, fit.log_evidence - 0.5 * float(by_offset + np.linalg.slogdet(variance)[1]), fit
+
+    found = [tried(axes @ in_force.T) for axes in _SIGNED_AXES]
+    rotation, _, fit = max(found, key=lambda one: one[1])
+    for _ in range(5):  # each takes most of what is left of a free angle, some 50 degrees at first
+        level = level_field(fit.headings_rad, fit.state[HORIZONTAL], fit.state[VERTICAL])
+        expected = np.einsum("kij,kj->ki", motion.sections.mapping, level)
+        rotation = numbered(track, instance, find_rotation(raw, expected), _NUMBERED_RAD)
+        if min(angle_between(rotation, other) for other, _, _ in found) < _NUMBERED_RAD:
+            break
+        found.append(tried(rotation))
+        fit = found[-1][2]
+    best = max(log for _, log, _ in found)
+    return [(rotation, log) for rotation, log, _ in found if log > best - reach]
 
 
 def turned_compass(track: Track, instance: int, rotation: FloatArray) -> Track:

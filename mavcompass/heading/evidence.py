@@ -338,26 +338,9 @@ def other_compasses(track: Track, instance: int) -> list[int]:
     return [i for i in sorted(track.compasses) if i != instance and len(track.compasses[i].reported)]
 
 
-def heading_elsewhere(track: Track, name: str, declination_rad: float) -> Series | None:
-    """Return the magnetic heading by what is no compass over the recording; None for what has none."""
-    true = {"gps-yaw": track.gps_yaw_rad, "autopilot": _autopilot_yaw(track)}.get(name)
-    return None if true is None else Series(true.time_s, np.asarray(true.values) - declination_rad)
-
-
 def _autopilot_yaw(track: Track) -> Series | None:
     attitude = track.attitude_rad
     return None if attitude is None else Series(attitude.time_s, np.asarray(attitude.values)[:, 2])
-
-
-def expected_field(
-    track: Track, heading: Series, time_s: FloatArray, horizontal_mgauss: float, vertical_mgauss: float
-) -> FloatArray:
-    """Return the Earth's field in the body, (N, 3), by another source's heading; nan where unknown."""
-    psi = heading.nearest(time_s, _NEAREST_S)[:, np.newaxis]
-    down = down_in_body(track, time_s)
-    ahead = _ahead(down)
-    level = np.cos(psi) * ahead - np.sin(psi) * np.cross(down, ahead)
-    return np.asarray(horizontal_mgauss * level + vertical_mgauss * down)
 
 
 def _ahead(down: FloatArray) -> FloatArray:

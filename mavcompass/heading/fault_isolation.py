@@ -36,7 +36,7 @@ _ROOM_RAD = (2.0 * math.pi, math.radians(40.0), math.radians(40.0))
 _WIDER, _SHOWS, _LEAST_LOG = 10.0, 0.5, -5.0
 # A source is blamed where it is rather at fault than sound, and another rather sound; where there is none,
 # one that is sound with less than this chance leaves it open which it is.
-RATHER_SOUND, _DOUBTED = 0.6, 0.9
+RATHER_SOUND, DOUBTED = 0.6, 0.9
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,12 +85,14 @@ class FaultIsolation:
         sound: the probability of each being sound, (N,).
         error_rad: the rms error of each over the circle, by all hypotheses, its own sigma included, (N,).
         likeliest: the sources (from 0) that are sound by the likeliest hypothesis.
+        log_evidence: log of the weights (J1) of all hypotheses by which the first source is sound.
     """
 
     sources: tuple[HeadingSource, ...]
     sound: FloatArray
     error_rad: FloatArray
     likeliest: tuple[int, ...]
+    log_evidence: float = 0.0
 
     @property
     def blamed(self) -> tuple[int, ...]:
@@ -101,7 +103,7 @@ class FaultIsolation:
     @property
     def undecided(self) -> bool:
         """Tell whether some source is at fault and nothing tells which."""
-        return not self.blamed and bool((self.sound < _DOUBTED).any())
+        return not self.blamed and bool((self.sound < DOUBTED).any())
 
     def beyond_rad(self, index: int) -> float:
         """Return how far a source may be off beyond its own sigma, rms over the circle."""
@@ -147,13 +149,15 @@ def isolate_faults(sources: Sequence[HeadingSource]) -> FaultIsolation:
     sound = [math.log(1.0 - s.fault) + s.log_ratio for s in sources]
     log_weight += np.where(member, sound, [math.log(s.fault) for s in sources]).sum(axis=1)
     share = np.exp(log_weight - log_weight.max())
+    log_evidence = float(log_weight.max() + np.log(share @ member[:, 0]))
     share /= share.sum()
     away = np.array([s.deviation_rad for s in sources]) - centre[:, np.newaxis]
     away[np.isnan(away)] = 0.0
     # The mean square over the circle, of one of those about the centre or of another (J2).
     apart2 = wrap_pi(away[..., 0]) ** 2 + 0.5 * (away[..., 1:] ** 2).sum(axis=-1)
     error2 = np.where(member, np.maximum(sigma**2, apart2), sigma**2 + apart2)
-    return FaultIsolation(sources, share @ member, np.sqrt(share @ error2), hypotheses[int(np.argmax(share))])
+    likeliest = hypotheses[int(np.argmax(share))]
+    return FaultIsolation(sources, share @ member, np.sqrt(share @ error2), likeliest, log_evidence)
 
 
 @lru_cache(maxsize=16)

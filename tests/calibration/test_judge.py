@@ -104,6 +104,12 @@ def test_of_two_the_one_whose_gains_are_no_compass_s_is_turned(number: int) -> N
     assert found[1].mounting.setting == {"COMPASS_ORIENT": float(number)}
 
 
+def test_no_mounting_mends_an_axis_that_is_the_wrong_way_round() -> None:
+    """On the level only the vertical field tells it from upside down."""
+    found = calibrate_track(recorded(np.diag([1.0, -1.0, 1.0]), None, None), earth=FIELD)
+    assert not found.accepted and found.mounting.turned is None
+
+
 def test_two_that_contradict_each_other_are_both_refused() -> None:
     found = calibrate_compasses(recorded(sensor_orientation_matrix(2), None), earth=FIELD)
     for result in found.values():

@@ -29,27 +29,13 @@ def test_the_rotation_is_found_beside_hard_iron_and_a_gain(number: int, motion: 
     noise = np.random.default_rng(2).normal(0.0, 3.0, field.shape)
     raw = 0.8 * (field + noise) @ turned + (40.0, -20.0, 90.0)
     found = find_rotation(raw, field)
-    assert found.believed and not found.mirrored
-    assert found.matrix == pytest.approx(turned, abs=0.03)
-    assert found.gain == pytest.approx(1.0 / 0.8, rel=0.03)
-    angle = math.acos(np.clip(0.5 * (np.trace(turned) - 1.0), -1.0, 1.0))
-    assert found.angle_rad == pytest.approx(angle, abs=0.06)
+    assert found == pytest.approx(turned, abs=0.03)
 
 
 def test_a_free_angle_is_found_to_half_a_degree() -> None:
     turned = euler_to_matrix(*np.radians([10.0, -20.0, 33.0]))
     found = find_rotation(tumbling() @ turned, tumbling())
-    assert np.degrees(np.linalg.norm(found.matrix - turned) / math.sqrt(2.0)) < 0.5
-
-
-def test_a_mirrored_axis_is_told_and_no_rotation_believed() -> None:
-    found = find_rotation(tumbling() * (1.0, -1.0, 1.0), tumbling())
-    assert found.mirrored and not found.believed
-
-
-def test_what_is_not_the_earths_field_is_not_believed() -> None:
-    noise = np.random.default_rng(1).normal(0.0, 200.0, (400, 3))
-    assert not find_rotation(noise, body_field(LEVEL)).believed
+    assert np.degrees(np.linalg.norm(found - turned) / math.sqrt(2.0)) < 0.5
 
 
 def test_a_short_turn_tells_nothing_and_unknown_rows_are_passed_over() -> None:
@@ -57,6 +43,6 @@ def test_a_short_turn_tells_nothing_and_unknown_rows_are_passed_over() -> None:
         find_rotation(body_field(LEVEL[:20]), body_field(LEVEL[:20]))
     expected = tumbling()
     expected[::2] = np.nan
-    assert find_rotation(tumbling(), expected).angle_rad < 1e-6
+    assert find_rotation(tumbling(), expected) == pytest.approx(np.eye(3), abs=1e-6)
     with pytest.raises(PoorCalibration):
         find_rotation(tumbling(), np.full((1500, 3), np.nan))

@@ -12,8 +12,9 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mavcompass.compass_parameters.orientations import NUMBERED, nearest
 from mavcompass.correction import IDENTITY, FieldCorrection
-from mavcompass.frames import SENSOR_ORIENTATIONS_DEG, FloatArray, sensor_orientation_matrix
+from mavcompass.frames import SENSOR_ORIENTATIONS_DEG, FloatArray
 
 # Of the field's length: what two sound compasses may differ by, 3 deg and 5 %.
 _FITS = 0.08
@@ -53,9 +54,5 @@ def _farthest(off_mgauss: FloatArray) -> FloatArray:
 @cache
 def _rotations() -> tuple[tuple[int, ...], FloatArray]:
     """Return each different rotation once, under its lowest number; none at all is the first."""
-    numbers: list[int] = []
-    for number in sorted(SENSOR_ORIENTATIONS_DEG):
-        matrix = sensor_orientation_matrix(number)
-        if all(np.abs(matrix - sensor_orientation_matrix(known)).max() > _FITS for known in numbers):
-            numbers.append(number)
-    return tuple(numbers), np.stack([sensor_orientation_matrix(number) for number in numbers])
+    numbers = tuple(sorted({nearest(one, NUMBERED)[0] for one in NUMBERED.values()}))
+    return numbers, np.stack([NUMBERED[number] for number in numbers])
