@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import mavcompass
+from mavcompass.frames import euler_to_matrix
 
 HERE = Path(__file__).parents[2] / "scripts" / "benchmarks"
 sys.path.append(str(HERE))
@@ -106,3 +107,14 @@ def test_iron_that_changed_in_a_hand_is_noticed(index: int) -> None:
     by = np.where(case.mag_time < 45.0, 25.0, 0.0)[:, np.newaxis] * [0.6, -0.8, 0.0]
     result = mavcompass.calibrate(ours.track_of(replace(case, mag=case.mag + by)))
     assert any("iron changed" in words for words in result.warnings)
+
+
+@pytest.mark.parametrize("index", [3, 8, 20, 70])
+def test_a_right_angle_is_told_beside_a_course_and_no_other(index: int) -> None:
+    """Upside down or not. With an axis the wrong way round, or between two numbers, no number is right."""
+    case = case_of("mounted", index)
+    assert judged(case, ours.solve(case))["rms"] < 1.0
+    mirrored = ours.track_of(replace(case, mag=case.mag * (1.0, -1.0, 1.0)))
+    assert mavcompass.calibrate(mirrored).mounting.turned is None
+    between = replace(case, mag=case.mag @ euler_to_matrix(0.0, 0.0, np.radians(17.0)).T)
+    assert mavcompass.calibrate(ours.track_of(between)).mounting.mended is None
