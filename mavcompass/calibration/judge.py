@@ -241,7 +241,7 @@ def _as_mounted(
 def _tried(case: Case, result: CalibrationResult, rotation: FloatArray, log_evidence: float) -> _Trial | None:
     """Calibrate a compass as if it were turned by a rotation, and turn it further as the others tell."""
     track, instance = case.track, result.instance
-    for _ in range(3):
+    for _ in range(6):
         turned = replace(case, track=turned_compass(track, instance, rotation))
         try:
             solved = case.solve(turned.track, instance)
