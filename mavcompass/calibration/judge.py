@@ -256,7 +256,7 @@ def _tried(case: Case, result: CalibrationResult, rotation: FloatArray, log_evid
         # A number is as likely as all angles on the way to the next: so far off, one of these is likelier.
         own_rad = max(_FREE_RAD, others_rad * math.sqrt(2.0 * _log_room(_APART_RAD, others_rad)))
         # Readings that are turned clockwise show a heading that much less.
-        away = found.apart_rad(0) if solved.accepted else 0.0
+        away = found.apart_rad(0)
         if abs(away) < (others_rad if free else own_rad):
             break
         rotation = numbered(track, instance, euler_to_matrix(0.0, 0.0, away) @ rotation, own_rad)
