@@ -108,7 +108,7 @@ class MotionFit:
     @property
     def log_evidence(self) -> float:
         """Return the log of the readings' chance by this model (Laplace), but for what all fits share."""
-        roots = np.diagonal(_roots(self.variance_mgauss2, self.sound), axis1=1, axis2=2)
+        roots = np.diagonal(roots_of(self.variance_mgauss2, self.sound), axis1=1, axis2=2)
         return float(np.log(roots).sum() - 0.5 * np.linalg.slogdet(self.information)[1]) - self.cost
 
 
