@@ -71,7 +71,6 @@ def test_the_python_reference_has_the_public_functions(pages: ModuleType) -> Non
     for name in (
         "observation.observe",
         "positions.next_pose",
-        "positions.repeat_test",
         "mounting.find_rotation",
     ):
         assert f"\n### mavcompass.calibration.{name}\n" in text

@@ -10,17 +10,17 @@ ROOT = Path(__file__).parents[1]
 # At most so many lines now, and where they should get to. A number here falls with its room; who raises one
 # says why in the commit.
 LINES = {
-    "package gap": (13_880, 10_500),
+    "package gap": (13_875, 10_500),
     "package simulation": (7_860, 5_800),
-    "package attitude calibration heading": (9_645, 5_400),
-    "package vehicle messages enums.py": (7_760, 5_200),
-    "package procedure": (6_540, 4_400),
-    "package service": (5_550, 4_100),
+    "package attitude calibration heading": (9_540, 5_400),
+    "package vehicle messages enums.py": (7_750, 5_200),
+    "package procedure": (6_530, 4_400),
+    "package service": (5_540, 4_100),
     "package logs": (4_480, 3_600),
     "package cli": (4_090, 2_900),
-    "package": (67_125, 46_500),
-    "tests": (44_645, 29_000),
-    "scripts benchmarks/compassbench": (1_570, 1_000),
+    "package": (67_025, 46_500),
+    "tests": (44_505, 29_000),
+    "scripts benchmarks/compassbench": (1_565, 1_000),
     "scripts": (10_220, 4_400),
 }
 

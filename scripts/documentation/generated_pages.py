@@ -31,7 +31,7 @@ _PYTHONS = set("self join str map sorted len error if else for in or s r f".spli
 PACKAGE = Path(mavcompass.__file__).parent
 _FURTHER = {  # from Python alone: the further pose, the turn back, the mounting
     "mavcompass.calibration.observation": ("observe",),
-    "mavcompass.calibration.positions": ("next_pose", "repeat_test"),
+    "mavcompass.calibration.positions": ("next_pose",),
     "mavcompass.calibration.mounting": ("find_rotation",),
 }
 MEANING = {

@@ -6,4 +6,3 @@ from mavcompass.calibration.positions.four_positions import solve_four_positions
 from mavcompass.calibration.positions.observability import next_pose as next_pose
 from mavcompass.calibration.positions.observability import unobserved as unobserved
 from mavcompass.calibration.positions.problem import PositionProblem as PositionProblem
-from mavcompass.calibration.positions.repeat import repeat_test as repeat_test
