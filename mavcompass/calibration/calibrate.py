@@ -13,6 +13,7 @@ from mavcompass.blas import single_thread
 from mavcompass.calibration.judge import Case, judge
 from mavcompass.calibration.methods import find_method
 from mavcompass.calibration.methods.running import Learnt, learn
+from mavcompass.calibration.observation.wire import saturated
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import DEFAULT_LIMITS, CalibrationResult, Limits, OwnFinding, TrueHeading
 from mavcompass.compass_parameters import values
@@ -21,7 +22,7 @@ from mavcompass.errors import BadRecording, MavCompassError, PoorCalibration
 from mavcompass.gravity import require_gravity
 from mavcompass.heading.doubt import turned_since_new, turned_vector
 from mavcompass.parameter_remarks import remarks_said
-from mavcompass.track import Track
+from mavcompass.track import Series, Track
 
 _DEAD_SWING_MGAUSS = 3.0
 _TURNED_RAD = math.radians(45.0)
@@ -103,6 +104,7 @@ def calibrate_compasses(
         given = Recorded(of, instance, world, limits, windows=windows, true_heading=true_heading)
         return solve(replace(given, found=found.get(instance)))
 
+    track, ended = _within_range(track)
     results: dict[int, CalibrationResult] = {}
     refusals: dict[int, PoorCalibration] = {}
     for i in sorted({*chosen, *track.compasses}):
@@ -130,6 +132,8 @@ def calibrate_compasses(
         if not result.accepted and windows is None and method != "auto":
             recorded = Recorded(track, i, world, limits)
             result = replace(result, warnings=(*result.warnings, *_would_do(recorded, result.method)))
+        if i in ended:
+            result = replace(result, warnings=(ended[i], *result.warnings))
         judged[i] = with_parameters(result, track)
     return judged
 
@@ -139,7 +143,7 @@ def learn_compasses(
     track: Track, instances: tuple[int, ...], earth: EarthField | None, limits: Limits = DEFAULT_LIMITS
 ) -> dict[int, Learnt | MavCompassError]:
     """Tell what some minutes of work show of compasses, or why they show nothing of one."""
-
+    track, _ = _within_range(track)
     found: dict[int, Learnt | MavCompassError] = {}
     for i in instances:
         try:
@@ -154,6 +158,22 @@ def learn_compasses(
         i: replace(one, result=with_parameters(judge(case, one.result), track)) for i, one in learnt.items()
     }
     return {**found, **judged}
+
+
+def _within_range(track: Track) -> tuple[Track, dict[int, str]]:
+    """Leave out readings at the end of what a sensor can show, and say so of the compasses that have any."""
+    within, said = dict(track.compasses), {}
+    for i, compass in track.compasses.items():
+        at_end = saturated(track.raw_field(i, motors=False))
+        if at_end.any():
+            reported = Series(compass.time_s[~at_end], compass.reported.values[~at_end])
+            within[i] = replace(compass, reported=reported)
+            said[i] = (
+                f"{100.0 * at_end.mean():.0f} % of the readings of compass {i} stand at the end of what its "
+                "sensor can show: they were left out. Move it away from strong iron and power leads, or set "
+                "a wider range."
+            )
+    return replace(track, compasses=within), said
 
 
 def _would_do(recorded: Recorded, refused: str) -> tuple[str, ...]:

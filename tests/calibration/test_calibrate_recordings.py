@@ -268,6 +268,16 @@ def test_a_missing_compass_and_an_unknown_method_say_what_to_do() -> None:
         calibrate_track(track, "magic")
 
 
+def test_readings_at_the_sensors_end_do_not_count_and_are_told() -> None:
+    track = turning_track(iron_of(STRONG), turns_deg=(90.0,) * 4, turn_s=9.0)
+    compass = track.compasses[1]
+    end = float(np.quantile(compass.reported.values[:, 1], 0.85))
+    cut = Series.of(compass.time_s, np.minimum(compass.reported.values, [9e3, end, 9e3]))
+    result = calibrate_track(replace(track, compasses={1: replace(compass, reported=cut)}), earth=FIELD)
+    assert result.accepted and "stand at the end of what its sensor can show" in result.warnings[0]
+    assert rms(heading_errors(result.correction, iron_of(STRONG))) < 2.0 * result.heading_sigma_deg < 1.0
+
+
 def test_the_result_is_json() -> None:
     result = calibrate_track(turning_track(iron_of(STRONG), turns_deg=(90.0,) * 4), earth=FIELD)
     entry = json.loads(json.dumps(result.to_json(), allow_nan=False))
