@@ -8,6 +8,8 @@ force at the time; `Track.raw_field` gives the readings with that correction und
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -20,6 +22,8 @@ from mavcompass.frames import FloatArray
 
 # The field in RAW_IMU is the average of the last 100 ms, repeated until the next: it lags while turning.
 ARDUPILOT_LAG_S = 0.09
+# Of a turn's steps the highest is shown so many times as often as the next: acos is a root there. And chance.
+_HIGHEST, _CHANCE_SIGMAS = 1.0 / (math.sqrt(2.0) - 1.0), 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,6 +148,25 @@ def uncut(values: FloatArray, step: float) -> FloatArray:
     return np.asarray(values + 0.5 * step * np.sign(values))
 
 
+def saturated(values: FloatArray) -> NDArray[np.bool_]:
+    """Mark readings (N, 3) at the end of what the sensor can show, on any axis, (N,).
+
+    A field that turns shows its highest value 2.4 times as often as the next below, at most; what the sensor
+    cuts off piles up there. A reading that is repeated counts once.
+    """
+    values = np.round(values, 3)
+    different = np.unique(values[np.isfinite(values).all(axis=1)], axis=0)
+    at_end = np.zeros(len(values), dtype=bool)
+    for axis, sign in itertools.product(range(3), (-1.0, 1.0)):
+        shown, count = np.unique(sign * different[:, axis], return_counts=True)
+        if len(shown) < 2:
+            continue
+        usual = _HIGHEST * count[-2]
+        if count[-1] > usual + _CHANCE_SIGMAS * math.sqrt(count[-1] + _HIGHEST * usual):
+            at_end |= sign * values[:, axis] == shown[-1]
+    return at_end
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
     """Hold one recording as columns. A quantity that was not recorded is None.
@@ -227,6 +250,10 @@ class Track:
             load = self.motor_load(compass.time_s[rows], source)
             raw[rows] = step.correction.undo(compass.reported.values[rows], load)
         return raw
+
+    def saturated(self, instance: int = 1) -> NDArray[np.bool_]:
+        """Mark the readings of one compass at the end of what its sensor can show, (N,)."""
+        return saturated(self.raw_field(instance, motors=False))
 
     def corrected_field(self, instance: int = 1) -> FloatArray:
         """Return the readings (N, 3) of one compass by the autopilot's calibration, body axes, milligauss.

@@ -13,7 +13,6 @@ from mavcompass.blas import single_thread
 from mavcompass.calibration.judge import Case, judge
 from mavcompass.calibration.methods import find_method
 from mavcompass.calibration.methods.running import Learnt, learn
-from mavcompass.calibration.observation.wire import saturated
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import DEFAULT_LIMITS, CalibrationResult, Limits, OwnFinding, TrueHeading
 from mavcompass.compass_parameters import values
@@ -164,7 +163,7 @@ def _within_range(track: Track) -> tuple[Track, dict[int, str]]:
     """Leave out readings at the end of what a sensor can show, and say so of the compasses that have any."""
     within, said = dict(track.compasses), {}
     for i, compass in track.compasses.items():
-        at_end = saturated(track.raw_field(i, motors=False))
+        at_end = track.saturated(i)
         if at_end.any():
             reported = Series(compass.time_s[~at_end], compass.reported.values[~at_end])
             within[i] = replace(compass, reported=reported)

@@ -94,6 +94,7 @@ def heading_by_compass(
     calibrated = _is_calibrated(track, instance, correction)
     late = turned_since_new(track, instance)
     sigma = _magnetic_sigma(field, down, leaning, magnetic, world, calibrated, two_axis, late)
+    sigma[track.saturated(instance)] = math.pi
     return _result(track, compass.time_s, magnetic, np.minimum(sigma, math.pi), world)
 
 

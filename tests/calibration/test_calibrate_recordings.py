@@ -19,6 +19,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.errors import BadRecording, PoorCalibration, UsageError
 from mavcompass.frames import level_to_body, matrix_to_euler, quaternion_to_matrix, wrap_pi
 from mavcompass.heading import earth_field_of, heading_of_track
+from mavcompass.heading.one_compass import heading_by_compass
 from mavcompass.logs import read_track
 from mavcompass.track import InForce, MagSeries, Series, Track
 
@@ -273,9 +274,12 @@ def test_readings_at_the_sensors_end_do_not_count_and_are_told() -> None:
     compass = track.compasses[1]
     end = float(np.quantile(compass.reported.values[:, 1], 0.85))
     cut = Series.of(compass.time_s, np.minimum(compass.reported.values, [9e3, end, 9e3]))
-    result = calibrate_track(replace(track, compasses={1: replace(compass, reported=cut)}), earth=FIELD)
+    track = replace(track, compasses={1: replace(compass, reported=cut)})
+    result = calibrate_track(track, earth=FIELD)
     assert result.accepted and "stand at the end of what its sensor can show" in result.warnings[0]
     assert rms(heading_errors(result.correction, iron_of(STRONG))) < 2.0 * result.heading_sigma_deg < 1.0
+    found = heading_by_compass(track, result.correction)
+    assert ((found.magnetic_sigma_rad == math.pi) == (cut.values[:, 1] == end)).all()
 
 
 def test_the_result_is_json() -> None:

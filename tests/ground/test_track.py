@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -19,7 +21,7 @@ from mavcompass.messages import (
     SysStatus,
     SystemTime,
 )
-from mavcompass.track import InForce, MagSeries, Series, Track
+from mavcompass.track import InForce, MagSeries, Series, Track, saturated
 from mavcompass.track_builder import TrackBuilder
 
 
@@ -149,3 +151,17 @@ def test_a_flood_does_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> No
     builder.take()
     builder.add(heard(5.1, RawImu(time_usec=5_100_000, xmag=51)))
     assert builder.take().compasses[1].reported.values[:, 0].tolist() == [51.0]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.4, 3.0])
+@pytest.mark.parametrize("step", [1.0, 0.01])
+def test_what_a_sensor_cuts_off_piles_up_and_a_turns_own_end_does_not(noise: float, step: float) -> None:
+    rng = np.random.default_rng(3)
+    yaw = np.repeat(np.linspace(0.0, 4.0 * math.pi, 1500), 2)  # each reading told twice
+    field = np.stack([220.0 * np.cos(yaw) + 60.0, -220.0 * np.sin(yaw), 0.0 * yaw - 430.0], axis=1)
+    whole = np.repeat(np.round((field[::2] + rng.normal(0.0, noise, (1500, 3))) / step) * step, 2, axis=0)
+    assert not saturated(whole).any()
+    assert not saturated(whole[:200]).any() and not saturated(whole[:1]).any()
+    for end in (200.0, 260.0):
+        cut = np.minimum(whole, [end, 1e3, 1e3])
+        assert (saturated(cut) == (cut[:, 0] == end)).all()

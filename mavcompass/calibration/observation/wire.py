@@ -7,7 +7,6 @@ recordings round. Both hide the average inside a step unless noise moves the rea
 
 from __future__ import annotations
 
-import itertools
 import math
 from functools import cache
 from statistics import NormalDist
@@ -21,9 +20,6 @@ from mavcompass.frames import FloatArray
 _ZERO_CELL_SD = 1.0 / math.sqrt(3.0)
 # Noise is told by means over this time.
 _MEAN_S = 0.025
-# Of a turn's steps the highest is shown so many times as often as the next: acos is a root there.
-_HIGHEST = 1.0 / (math.sqrt(2.0) - 1.0)
-_CHANCE = 5.0
 _HARMONICS = np.arange(1, 9)
 _NOISE_GRID = np.linspace(0.0, 1.0, 101)
 
@@ -126,25 +122,6 @@ def effective_count(values: FloatArray) -> tuple[NDArray[np.bool_], int]:
     if len(values) > 1:
         fresh[1:] = np.any(values[1:] != values[:-1], axis=1)
     return fresh, int(fresh.sum())
-
-
-def saturated(values: FloatArray) -> NDArray[np.bool_]:
-    """Mark readings (N, 3) at the end of what the sensor can show, on any axis, (N,).
-
-    A field that turns shows its highest value 2.4 times as often as the next below, at most; what the sensor
-    cuts off piles up there. A reading that is repeated counts once.
-    """
-    values = np.round(values, 3)
-    different = np.unique(values[np.isfinite(values).all(axis=1)], axis=0)
-    at_end = np.zeros(len(values), dtype=bool)
-    for axis, sign in itertools.product(range(3), (-1.0, 1.0)):
-        shown, count = np.unique(sign * different[:, axis], return_counts=True)
-        if len(shown) < 2:
-            continue
-        usual = _HIGHEST * count[-2]
-        if count[-1] > usual + _CHANCE * math.sqrt(count[-1] + _HIGHEST * usual):
-            at_end |= sign * values[:, axis] == shown[-1]
-    return at_end
 
 
 def white_noise(time: FloatArray, values: FloatArray, quantile: float = 0.5) -> FloatArray:

@@ -9,7 +9,6 @@ import pytest
 
 from mavcompass.calibration.observation.wire import (
     effective_count,
-    saturated,
     unquantise,
     white_noise,
 )
@@ -91,17 +90,3 @@ def test_noise_behind_a_filter_adds_up_as_it_did_before_it() -> None:
     assert white_noise(time, filtered) == pytest.approx([1.0], rel=0.2)
     # Neighbours alone show a third of it.
     assert white_noise(10.0 * time, filtered) < 0.4
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.4, 3.0])
-@pytest.mark.parametrize("step", [1.0, 0.01])
-def test_what_a_sensor_cuts_off_piles_up_and_a_turns_own_end_does_not(noise: float, step: float) -> None:
-    rng = np.random.default_rng(3)
-    yaw = np.repeat(np.linspace(0.0, 4.0 * math.pi, 1500), 2)  # each reading told twice
-    field = np.stack([220.0 * np.cos(yaw) + 60.0, -220.0 * np.sin(yaw), 0.0 * yaw - 430.0], axis=1)
-    whole = np.repeat(np.round((field[::2] + rng.normal(0.0, noise, (1500, 3))) / step) * step, 2, axis=0)
-    assert not saturated(whole).any()
-    assert not saturated(whole[:200]).any() and not saturated(whole[:1]).any()
-    for end in (200.0, 260.0):
-        cut = np.minimum(whole, [end, 1e3, 1e3])
-        assert (saturated(cut) == (cut[:, 0] == end)).all()
