@@ -155,8 +155,15 @@ def saturated(values: FloatArray) -> NDArray[np.bool_]:
     cuts off piles up there. A reading that is repeated counts once.
     """
     values = np.round(values, 3)
-    different = np.unique(values[np.isfinite(values).all(axis=1)], axis=0)
-    at_end = np.zeros(len(values), dtype=bool)
+    known, at_end = values[np.isfinite(values).all(axis=1)], np.zeros(len(values), dtype=bool)
+    # So few are chance: no need to look which of them are repeated.
+    if (
+        not len(known)
+        or max((known == end).sum(axis=0).max() for end in (known.min(axis=0), known.max(axis=0)))
+        <= _CHANCE_SIGMAS**2
+    ):
+        return at_end
+    different = np.unique(known, axis=0)
     for axis, sign in itertools.product(range(3), (-1.0, 1.0)):
         shown, count = np.unique(sign * different[:, axis], return_counts=True)
         if len(shown) < 2:

@@ -1,4 +1,4 @@
-"""The method that the recording can bear: four positions if there are any, else what the motion carries."""
+"""The surest of the methods that the recording can bear: still positions, its motion, the field's length."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ALIKE = 1.1
 
 
 def calibrate(recorded: Recorded) -> CalibrationResult:
-    """Calibrate by still positions where the recording has them, else by its whole motion.
+    """Calibrate by the surest method; by still positions where these were chosen, or are as sure.
 
     Iron that changed within the recording is noticed, and the last stretch taken.
     Raises PoorCalibration where no method finds a solution.

@@ -61,6 +61,7 @@ def calibrate_motion(motion: Motion) -> CalibrationResult:
     if disturbed is not None:
         honest = honest.at_least(disturbed.open_rad)
     mounting = _mounting_rad(motion)
+    hidden = unobserved(motion.fit.covariance, recorded.prior)
     sigma = honest.error.rms_rad()
     reasons, warnings = findings(motion, honest)
     if disturbed is not None:
@@ -82,9 +83,7 @@ def calibrate_motion(motion: Motion) -> CalibrationResult:
         in_force=recorded.in_force,
         covariance_names=CALIBRATED,
         covariance=honest.error.covariance,
-        not_observable=unobserved(motion.fit.covariance, recorded.prior)[
-            : None if motion.reference is None else -1
-        ],
+        not_observable=tuple(q for q in hidden if motion.reference is None or q != "mounting_yaw"),
         residual_rms_mgauss=math.sqrt(float((motion.fit.residual_mgauss**2).mean())),
         heading_sigma_deg=math.degrees(math.hypot(sigma, mounting)),
         heading_budget_deg={

@@ -78,18 +78,15 @@ def last_stretch(motion: Motion) -> tuple[Motion, Change | None]:
     worth_it = WORTH_IT_RAD * motion.fit.horizontal_mgauss
     if motion.fit.error.mgauss < worth_it:
         return motion, None
-    found: tuple[Motion, float] | None = None
-    best = motion
-    for start in _candidates(motion):
-        later = _anew(motion, start)
+    best, start_s = motion, -math.inf
+    for candidate_s in _candidates(motion):
+        later = _anew(motion, candidate_s)
         if later is None or later.fit.error.mgauss >= _BETTER * best.fit.error.mgauss:
             continue
-        best, found = later, (later, start)
+        best, start_s = later, candidate_s
         if best.fit.error_mgauss < worth_it:
             break
-    if found is None:
-        return motion, None
-    return _told(motion, *found)
+    return (motion, None) if best is motion else _told(motion, best, start_s)
 
 
 def _told(motion: Motion, later: Motion, start_s: float) -> tuple[Motion, Change]:

@@ -17,6 +17,7 @@ import numpy as np
 from mavcompass.calibration.model import GAIN, HEADINGS, HORIZONTAL, VERTICAL, by_tilt, gain_matrix
 from mavcompass.calibration.motion.sections import Sections
 from mavcompass.calibration.rigid import PriorRows, assembled, covariance_of
+from mavcompass.chance import chance_of_more
 from mavcompass.frames import FloatArray
 from mavcompass.heading.compute import level_field
 
@@ -24,8 +25,11 @@ from mavcompass.heading.compute import level_field
 _DISTURBED_BEFORE, _DISTURBED_MGAUSS = 0.05, 40.0
 # More disturbed sections than this, or more of the time, are no exceptions.
 _MOST_DISTURBED = 0.3
+# As often chance alone leaves as much.
+_BY_CHANCE = 0.05
 # With a larger error of the model there is nothing to refine.
 _HOPELESS_MGAUSS, _LOST_RAD = 500.0, 1.0
+# Fisher's steps settle in three to five.
 _SCORINGS = 12
 _AXES = np.eye(3)
 
@@ -109,7 +113,7 @@ def model_error(
     absorbed = root @ by @ covariance_of(jacobian) @ np.swapaxes(by, 1, 2) @ root
     free = sound[:, np.newaxis, np.newaxis] * (_AXES - absorbed / sections.repeats[:, np.newaxis, np.newaxis])
     freedom = float(np.einsum("kii->", free))
-    if freedom < 1.0 or float((sound * _square(residual, plain)).sum()) <= _chance_limit(freedom):
+    if chance_of_more(float((sound * _square(residual, plain)).sum()), round(freedom)) >= _BY_CHANCE:
         return ModelError()
     for _ in range(_SCORINGS):
         whitened = np.einsum("kij,kj->ki", root, residual)
@@ -144,9 +148,3 @@ def _by_turn(sections: Sections, x: FloatArray) -> FloatArray:
 
 def _square(residual: FloatArray, variance: FloatArray) -> FloatArray:
     return np.asarray((residual * np.linalg.solve(variance, residual[:, :, np.newaxis])[:, :, 0]).sum(axis=1))
-
-
-def _chance_limit(freedom: float) -> float:
-    """Return what a chi-square exceeds once in twenty (Wilson and Hilferty)."""
-    third = 2.0 / (9.0 * freedom)
-    return freedom * (1.0 - third + 1.645 * math.sqrt(third)) ** 3
