@@ -90,7 +90,8 @@ ROWS = {
         {"methods"},
         {"motion"},
         {"positions", "recorded"},
-        {"result", "rigid"},
+        {"result", "first_state"},
+        {"rigid"},
         {"observation", "model"},
     ],
     "service": [

@@ -16,9 +16,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mavcompass.calibration.first_state import ROUGHLY
 from mavcompass.calibration.model import HORIZONTAL, OFFSET, VERTICAL
-from mavcompass.calibration.motion.fit import MotionFit
+from mavcompass.calibration.motion.fit import MotionFit, begin
 from mavcompass.calibration.motion.observed import observe_motion
+from mavcompass.calibration.motion.sections import Sections
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult, Mounting
 from mavcompass.calibration.rigid import DEFAULT_PRIOR
@@ -79,19 +81,32 @@ def likely_rotations(recorded: Recorded, reach: float) -> list[tuple[FloatArray,
     Turned back rightly it reads (M1) by gains and hard iron that compasses have; otherwise the field turns
     against the gyro, dips to the sky or leans against the vehicle. Tried are the right angles, these with an
     axis the wrong way round (which no mounting mends), and the rotation that the headings of the likeliest
-    ask for. Left out is what lies beyond `reach` of the best. Raises PoorCalibration for too little motion.
+    ask for. Left out is what lies beyond `reach` of the best, where its fit begins or ends. Raises
+    PoorCalibration for too little motion.
     """
     track, instance = recorded.track, recorded.instance
     motion = observe_motion(replace(recorded, track=turned_compass(track, instance, np.eye(3))))
     raw, in_force = motion.sections.mean_mgauss, sensor_to_body(track.autopilot, track.parameters, instance)
+    # A tenth of how far the field moves: a fit errs by less, so what lies far apart by it will lie farther.
+    error_mgauss = 0.5 * ROUGHLY * float(np.ptp(np.percentile(raw, [5.0, 95.0], axis=0), axis=0).max())
+
+    def turned(rotation: FloatArray) -> Sections:
+        return replace(motion.sections, mean_mgauss=raw @ rotation.T)
+
+    def cost(rotation: FloatArray) -> float:
+        known = (recorded.earth, recorded.prior, motion.load_source, recorded.in_force)
+        first = begin(turned(rotation), *known)
+        return first.cost(error_mgauss) + 0.5 * float((first.state[OFFSET] ** 2).sum()) / _OFFSET_MGAUSS**2
 
     def tried(rotation: FloatArray) -> tuple[FloatArray, float, MotionFit]:
-        fit = motion.on(replace(motion.sections, mean_mgauss=raw @ rotation.T)).fit
+        fit = motion.on(turned(rotation)).fit
         variance = fit.covariance[OFFSET, OFFSET] + _OFFSET_MGAUSS**2 * np.eye(3)
         by_offset = fit.offset_mgauss @ np.linalg.solve(variance, fit.offset_mgauss)
         return rotation, fit.log_evidence - 0.5 * float(by_offset + np.linalg.slogdet(variance)[1]), fit
 
-    found = [tried(axes @ in_force.T) for axes in _SIGNED_AXES]
+    right_angles = [axes @ in_force.T for axes in _SIGNED_AXES]
+    costs = np.array([cost(rotation) for rotation in right_angles])
+    found = [tried(right_angles[i]) for i in np.flatnonzero(costs < costs.min() + reach)]
     rotation, _, fit = max(found, key=lambda one: one[1])
     for _ in range(5):  # each takes most of what is left of a free angle, some 50 degrees at first
         level = level_field(fit.headings_rad, fit.state[HORIZONTAL], fit.state[VERTICAL])

@@ -31,13 +31,8 @@ from mavcompass.calibration.model import (
 )
 from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.positions.disturbance import weigh_disturbances
-from mavcompass.calibration.positions.problem import (
-    PositionFit,
-    PositionProblem,
-    fit_positions,
-    leaning_error,
-)
-from mavcompass.calibration.rigid import DEFAULT_PRIOR, Blend, IronPrior, weigh_cross_terms
+from mavcompass.calibration.positions.problem import PositionFit, PositionProblem, fit_positions
+from mavcompass.calibration.rigid import DEFAULT_PRIOR, Blend, IronPrior, common_error, weigh_cross_terms
 from mavcompass.chance import chance_of_more
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.earth_field import EarthField
@@ -138,7 +133,9 @@ def solve_four_positions(
     # A worse agreement than chance gives, whichever dwell is blamed: the noise is not what it seemed.
     excess = max(best.chi_square / max(best.freedom, 1), 1.0) if consistency < WIDENED_BELOW else 1.0
     covariance = excess * undisturbed.covariance
-    blend = weigh_cross_terms(undisturbed.state, covariance, prior, leaning_error(problem, fit))
+    # The accelerometer's own error, the same in every dwell: on the level it looks like an offset.
+    leaning = common_error(problem.roots(fit.weights) @ problem.leaning, fit.covariance, fit.jacobian)
+    blend = weigh_cross_terms(undisturbed.state, covariance, prior, leaning)
     residual = fit.residual
     ranked = np.argsort(-undisturbed.probability)
     return FourPositionsResult(

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from mavcompass.calibration.first_state import ROUGHLY, first_state, rough_field
 from mavcompass.calibration.model import (
     GAIN,
     HEADINGS,
@@ -16,7 +17,6 @@ from mavcompass.calibration.model import (
     VERTICAL,
     by_tilt,
     gain_matrix,
-    gain_parameters,
 )
 from mavcompass.calibration.observation import FourPositionData, Step
 from mavcompass.calibration.rigid import (
@@ -25,7 +25,6 @@ from mavcompass.calibration.rigid import (
     PriorRows,
     Readings,
     assembled,
-    common_error,
     covariance_of,
     prior_rows,
     settle,
@@ -39,7 +38,11 @@ from mavcompass.heading.compute import level_field
 # What no error model names: the sensor's own bends and steps of its converter.
 _FLOOR_MGAUSS = 0.01
 _ROBUST_FROM, _ROUNDS, _STEPS_A_ROUND = 6, 20, 2
-_LEAST_CHANGE = 0.5  # of a reading by the field there: 29 degrees of turning
+# What turning must show of a circle's centre and radius: less is hardly a turn; of two positions 29 degrees.
+_LEAST_SEEN = {2: 0.25, 3: 0.12}
+_DEAD_MGAUSS = 1.0
+# As it should, and of a compass that is upside down, the field turning against the gyro.
+_WAYS_ROUND = ((1.0, 1.0, 1.0), (1.0, -1.0, 1.0))
 _MANY_SIGMAS_3D = 11.34  # chi-square of three, 99 %
 
 
@@ -78,23 +81,27 @@ class PositionProblem:
             turned_rad=data.turned_rad,
             step_sigma_rad=np.array([max(s.sigma_rad, 1e-6) for s in data.steps]),
         )
-        if data.first_heading is not None and earth is not None:
-            headings = data.first_heading[0] + data.turned_rad
-            start, mirrored = _start_at(headings, mean, tilts, np.array(earth.ned_mgauss), prior), False
-        elif len(dwells) < DEFAULT_PRIOR.fewest_positions:
-            start, mirrored = _start_by_two(mean, tilts, data.turned_rad, earth, in_force, prior), False
-        else:
-            start, mirrored = _start(mean, tilts, data.turned_rad, earth, in_force)
+        field = rough_field(mean, earth, in_force)
         rules = prior_rows(
             len(dwells),
             prior,
             earth,
             in_force,
-            float(start[VERTICAL]),
+            field[1],
             (data.gyro_scale_sigma, data.gyro_bias_sigma_radps),
             prior.motor_sigma_mgauss_per_a,
             data.first_heading,
         )
+        given = data.first_heading[0] if data.first_heading is not None and earth is not None else None
+        if given is None:
+            _require_turning(mean, data.turned_rad)
+        first, round_ = (
+            first_state(replace(readings, mean_mgauss=mean * axes), rules, field, given)
+            for axes in _WAYS_ROUND
+        )
+        likelier = round_.cost(ROUGHLY * field[0]) < first.cost(ROUGHLY * field[0])
+        # How the readings lean with the vehicle goes by where they were taken.
+        start = settle(readings, first.state, np.tile(np.eye(3), (len(dwells), 1, 1)), rules)
         noise = np.array([d.covariance_mgauss2 for d in dwells]) + _FLOOR_MGAUSS**2 * np.eye(3)
         quantisation = np.array([d.quantisation_mgauss2 for d in dwells])
         leaning = by_tilt(tilts, start, start[HEADINGS:])
@@ -107,8 +114,12 @@ class PositionProblem:
             parts={"noise": noise, "quantisation": quantisation, "tilt": tilt},
             leaning=leaning * data.tilt_bias_sigma_rad,
             start=start,
-            mirrored=mirrored,
+            mirrored=likelier and given is None and len(dwells) >= DEFAULT_PRIOR.fewest_positions,
         )
+
+    def roots(self, weights: FloatArray) -> FloatArray:
+        """Return what whitens the field's residuals, (K, 3, 3), of dwells that weigh so much, (K,)."""
+        return np.asarray(self.whiten * np.sqrt(weights)[:, np.newaxis, np.newaxis])
 
     def loosened(self, index: int, size_mgauss: float) -> PositionProblem:
         """Let one dwell's field be off by an unknown amount of that size, each axis."""
@@ -143,94 +154,23 @@ class PositionProblem:
         )
 
 
-def _start_at(
-    headings: FloatArray, mean: FloatArray, tilts: FloatArray, ned_mgauss: FloatArray, prior: IronPrior
-) -> FloatArray:
-    """Take the gains for the prior's: at known headings the offset is what the field there leaves."""
-    state = np.zeros(HEADINGS + headings.size)
-    state[GAIN], state[HEADINGS:] = prior.gains, headings
-    state[HORIZONTAL], state[VERTICAL] = math.hypot(*ned_mgauss[:2]), ned_mgauss[2]
-    body = np.einsum("kij,kj->ki", tilts, level_field(headings, state[HORIZONTAL], state[VERTICAL]))
-    state[OFFSET] = (mean - body @ gain_matrix(state[GAIN])).mean(axis=0)
-    return state
-
-
-def _start_by_two(
-    mean: FloatArray,
-    tilts: FloatArray,
-    turned: FloatArray,
-    earth: EarthField | None,
-    in_force: FieldCorrection,
-    prior: IronPrior,
-) -> FloatArray:
-    """Read the first heading off what a turn changes, by the prior's gains.
-
-    The level field being H exp(-i psi), two readings differ by H exp(-i psi_1) (1 - exp(-i turned)) (P0).
-    """
-    level = np.einsum("kji,kj->ki", tilts, mean @ np.linalg.inv(gain_matrix(prior.gains)).T)
-    change = 1.0 - np.exp(-1j * (turned[-1] - turned[0]))
-    if abs(change) < _LEAST_CHANGE:
-        raise _too_little_turning(turned)
-    first = complex(level[0, 0] - level[-1, 0], level[0, 1] - level[-1, 1]) / change
-    vertical = _vertical(mean, earth, in_force)
-    horizontal = earth.horizontal_mgauss if earth is not None else abs(first)
-    headings = turned - turned[0] - float(np.angle(first))
-    return _start_at(headings, mean, tilts, np.array([horizontal, 0.0, vertical]), prior)
-
-
-def _vertical(mean: FloatArray, earth: EarthField | None, in_force: FieldCorrection) -> float:
-    return float(earth.ned_mgauss[2] if earth is not None else in_force.apply(mean).mean(axis=0)[2])
-
-
-def _too_little_turning(turned: FloatArray) -> PoorCalibration:
-    degrees = math.degrees(float(np.ptp(turned)))
-    return PoorCalibration(
-        f"The positions cover too little of the circle: {degrees:.0f} degrees of turning in all.",
-        "Turn the vehicle in four steps of about 90 degrees and stop after each.",
-    )
-
-
-def _start(
-    mean: FloatArray,
-    tilts: FloatArray,
-    turned: FloatArray,
-    earth: EarthField | None,
-    in_force: FieldCorrection,
-) -> tuple[FloatArray, bool]:
-    """Fit r = c + p cos(turned) + q sin(turned) per axis and read a first state off it.
-
-    With psi = psi_1 + turned the horizontal part is H T F(psi_1), F a reflection; a positive
-    determinant of (p, q) means that the field turns the wrong way.
-    """
+def _require_turning(mean: FloatArray, turned: FloatArray) -> None:
+    """Raise PoorCalibration where the vehicle hardly turned, or the field of means (K, 3) hardly changed."""
     design = np.stack([np.ones(turned.size), np.cos(turned), np.sin(turned)], axis=1)
-    singular = np.linalg.svd(design, compute_uv=False)
-    if singular[-1] < 0.12 * math.sqrt(turned.size):
-        raise _too_little_turning(turned)
-    line, *_ = np.linalg.lstsq(design, mean, rcond=None)
-    plane = line[1:, :2].T
-    amplitude = float(np.sqrt(abs(np.linalg.det(plane))))
-    if amplitude < 1.0:
+    seen = np.linalg.svd(design, compute_uv=False)[min(turned.size, 3) - 1] / math.sqrt(turned.size)
+    if seen < _LEAST_SEEN[min(turned.size, 3)]:
+        raise PoorCalibration(
+            f"The positions cover too little of the circle: {math.degrees(np.ptp(turned)):.0f} degrees of"
+            " turning in all.",
+            "Turn the vehicle in four steps of about 90 degrees and stop after each.",
+        )
+    amplitude = 0.5 * float(np.ptp(mean, axis=0).max())
+    if amplitude < _DEAD_MGAUSS:
         raise PoorCalibration(
             f"The field hardly changes while the vehicle turns (amplitude {amplitude:.1f} mG): this compass "
             "is dead, frozen or reads only its offsets.",
             "Check the compass's wiring and that COMPASS_USE and the driver see the sensor.",
         )
-    mirrored = float(np.linalg.det(plane)) > 0.0
-    horizontal = earth.horizontal_mgauss if earth is not None else amplitude
-    vertical = _vertical(mean, earth, in_force)
-    if mirrored:
-        plane = plane * np.array([[1.0], [-1.0]])
-    left, values, right = np.linalg.svd(plane / horizontal)
-    gain = left @ np.diag(values) @ left.T
-    reflection = left @ right
-    state = np.zeros(HEADINGS + turned.size)
-    state[GAIN] = gain_parameters(np.block([[gain, np.zeros((2, 1))], [np.zeros((1, 2)), np.eye(1)]]))
-    state[GAIN][2] = 0.5 * (gain[0, 0] + gain[1, 1])
-    state[HORIZONTAL], state[VERTICAL] = horizontal, vertical
-    first = math.atan2(-reflection[1, 0], reflection[0, 0])
-    state[HEADINGS:] = first + turned
-    state[OFFSET] = line[0] - gain_matrix(state[GAIN]) @ tilts.mean(axis=0) @ [0.0, 0.0, vertical]
-    return state, mirrored
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -254,11 +194,11 @@ def fit_positions(problem: PositionProblem, near: PositionFit | None = None) -> 
     x, weights = (problem.start, np.ones(len(readings))) if near is None else (near.state, near.weights)
     if len(readings) >= _ROBUST_FROM:
         for _ in range(_ROUNDS):
-            x = settle(readings, x, _roots(problem, weights), problem.rules, _STEPS_A_ROUND)
+            x = settle(readings, x, problem.roots(weights), problem.rules, _STEPS_A_ROUND)
             before, weights = weights, _weights(problem, readings.field(x)[0])
             if float(np.abs(weights - before).max()) < 1e-3:
                 break
-    roots = _roots(problem, weights)
+    roots = problem.roots(weights)
     x = settle(readings, x, roots, problem.rules)
     residual, _ = readings.field(x)
     values, jacobian = assembled(readings, x, roots, problem.rules)
@@ -277,19 +217,6 @@ def fit_positions(problem: PositionProblem, near: PositionFit | None = None) -> 
         chi_square=float(values[:measured] @ values[:measured]),
         freedom=max(round(measured - absorbed), 0),
     )
-
-
-def leaning_error(problem: PositionProblem, fit: PositionFit) -> FloatArray:
-    """Return what the accelerometer's own error, the same in every dwell, adds to the state, (P, 2).
-
-    By roll and by pitch, one sigma each: on the level it looks like an offset.
-    """
-    leaning = problem.whiten @ problem.leaning * np.sqrt(fit.weights)[:, np.newaxis, np.newaxis]
-    return common_error(leaning, fit.covariance, fit.jacobian)
-
-
-def _roots(problem: PositionProblem, weights: FloatArray) -> FloatArray:
-    return np.asarray(problem.whiten * np.sqrt(weights)[:, np.newaxis, np.newaxis])
 
 
 def _weights(problem: PositionProblem, field: FloatArray) -> FloatArray:

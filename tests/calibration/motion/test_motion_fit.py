@@ -17,10 +17,9 @@ from mavcompass.calibration.model import (
     gain_matrix,
 )
 from mavcompass.calibration.motion import fit, honesty
-from mavcompass.calibration.motion.fit import MotionFit, first_state, fit_motion
+from mavcompass.calibration.motion.fit import MotionFit, begin, fit_motion
 from mavcompass.calibration.motion.misfit import ModelError, section_variance
 from mavcompass.calibration.motion.sections import Sections
-from mavcompass.calibration.rigid import IronPrior
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration
@@ -190,7 +189,7 @@ def test_a_sections_variance_is_noise_steps_tilt_and_model(found: MotionFit) -> 
 def test_the_first_state_is_near_wherever_the_vehicle_begins(first: float) -> None:
     psi = first + np.linspace(0.0, 2.0 * math.pi, K, endpoint=False)
     for earth in (EARTH, None):
-        x, _ = first_state(sections_of(psi), earth, IronPrior(), 1e-6, None)
+        x, _, _ = begin(sections_of(psi), earth)
         assert np.abs(np.angle(np.exp(1j * (x[HEADINGS:] - psi)))).max() < 20.0 * DEG
         assert x[OFFSET][:2] == pytest.approx(OFFSETS[:2], abs=30.0)
 

@@ -23,7 +23,7 @@ from made_up_recordings import (
 
 from mavcompass.calibration.motion.findings import findings
 from mavcompass.calibration.motion.fit import (
-    first_state,
+    begin,
     leaning_error,
     level_headings,
     sigma_of,
@@ -105,7 +105,7 @@ def test_fit(motion: Motion, as_stored: AsStored) -> None:
 
 def test_where_the_fit_begins(motion: Motion, as_stored: AsStored) -> None:
     s, prior, in_force = motion.sections, motion.recorded.prior, motion.recorded.in_force
-    first, rules = first_state(s, motion.recorded.earth, prior, 0.7, in_force)
+    first, rules, _ = begin(s, motion.recorded.earth, prior, motion.load_source, in_force)
     fit = motion.fit
     as_stored(
         {

@@ -61,38 +61,39 @@ def true_state(data: FourPositionData, first: float = 0.4) -> Any:
 
 @pytest.mark.parametrize("first", [0.0, 0.4, 2.0, 3.5, 5.5])
 def test_exact_readings_start_at_the_truth(first: float) -> None:
-    """A gain whose vertical part is the mean of the horizontal ones, as the start supposes it."""
+    """But for what the prior holds against 1 mG of each reading, far less than it is sure of."""
     data = four_positions(IRON, first=first)
     problem = problem_of(data)
-    assert not problem.mirrored
     state = problem.start
-    assert state[OFFSET] == pytest.approx(IRON.offset, abs=1e-6)
-    assert state[GAIN] == pytest.approx(gain_parameters(GAIN_XY), abs=1e-9)
-    assert wrap_pi(state[HEADINGS:] - first - data.turned_rad) == pytest.approx(np.zeros(4), abs=1e-9)
-    residual, _ = assembled(problem.readings, state, problem.whiten, problem.rules)
-    assert np.abs(residual[:15]).max() < 0.02  # but for the prior
-    assert np.abs(problem.readings.field(state)[0]).max() < 1e-6
+    assert state[OFFSET] == pytest.approx(IRON.offset, abs=0.5)
+    assert state[GAIN] == pytest.approx(gain_parameters(GAIN_XY), abs=2e-3)
+    assert wrap_pi(state[HEADINGS:] - first - data.turned_rad) == pytest.approx(np.zeros(4), abs=1e-3)
+    assert np.abs(problem.readings.field(state)[0]).max() < 0.1 and not problem.mirrored
 
 
 def test_a_field_that_turns_the_wrong_way_is_mirrored() -> None:
-    iron = Iron((20.0, 10.0, 0.0), np.diag([1.0, -1.0, -1.0]))
-    problem = problem_of(four_positions(iron))
-    assert problem.mirrored and problem.start[GAIN][:2] == pytest.approx([1.0, 1.0])
-    assert problem.start[OFFSET][:2] == pytest.approx([20.0, 10.0])
+    assert problem_of(four_positions(Iron((20.0, 10.0, 0.0), np.diag([1.0, -1.0, -1.0])))).mirrored
+
+
+def test_a_compass_that_leans_from_dwell_to_dwell_is_not_mirrored() -> None:
+    """A hand turns it about other axes than the vertical: the body's x and y alone would not tell."""
+    rng = np.random.default_rng(8)
+    assert not any(problem_of(four_positions(IRON, rng, tilt=lean)).mirrored for lean in (0.3, 0.6, 1.2))
 
 
 def test_without_a_world_the_fields_own_size_is_taken() -> None:
     in_force = FieldCorrection((-60.0, 40.0, -25.0))
     problem = problem_of(four_positions(IRON), None, in_force)
     assert problem.start[HORIZONTAL] == pytest.approx(
-        FIELD.horizontal_mgauss * math.sqrt(1.1 * 0.95 - 0.03**2)
+        FIELD.horizontal_mgauss * math.sqrt(1.1 * 0.95 - 0.03**2), rel=5e-3
     )
-    assert problem.start[VERTICAL] == pytest.approx(1.025 * FIELD.ned_mgauss[2])
+    vertical = 1.025 * FIELD.ned_mgauss[2]
+    assert problem.start[VERTICAL] == pytest.approx(vertical, rel=5e-3)
     known = held(problem)
     assert known[2] == pytest.approx((25.0, 100.0))
     assert HORIZONTAL not in known  # the gains' mean is one by convention
     assert (problem.rules.rows[-4, 3:5] * 0.01) == pytest.approx([0.5, 0.5])
-    assert known[VERTICAL][1] == pytest.approx(0.5 * abs(problem.start[VERTICAL]))
+    assert known[VERTICAL] == pytest.approx((vertical, 0.5 * abs(vertical)))
     weak = replace(FIELD, ned_mgauss=(232.0, 52.7, 60.0))
     assert held(problem_of(four_positions(Iron(), earth=weak), None))[VERTICAL][1] == pytest.approx(50.0)
 
@@ -171,7 +172,7 @@ def test_a_current_counts_where_it_is_known_everywhere(
 def test_positions_have_to_cover_the_circle(degrees: tuple[float, ...], enough: bool) -> None:
     data = four_positions(IRON, turns=np.radians(degrees))
     if enough:
-        assert problem_of(data).start[OFFSET][:2] == pytest.approx([60.0, -40.0])
+        assert problem_of(data).start[OFFSET][:2] == pytest.approx([60.0, -40.0], abs=0.2)
     else:
         with pytest.raises(PoorCalibration, match="too little of the circle: 60 degrees"):
             problem_of(data)
