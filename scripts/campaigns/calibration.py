@@ -1,14 +1,12 @@
 """How good is a calibration, and is its sigma true? Monte Carlo tables.
 
     python scripts/campaigns/calibration.py [--runs 5000] [--seed 20261121] [--only NAME] [--workers 2]
-    python scripts/campaigns/calibration.py --method world-field --runs 500 --seed 5150
 
 A quarter of the vehicles have cross terms (4 % rms), as the fit's prior has it; the others have none.
-Each run makes a vehicle with irons of its own, calibrates it and compares the heading at one random
-heading with the truth: by the four-position fit from its positions, by the methods of any motion from a whole
-recording, with an ordinary drive, few headings, strong motors and passing magnets besides. "covered" is the
-share of errors within 1 and 1.96 of the claimed sigma, of all results and of those accepted; positions that
-the verdict refuses have no result, but their reasons are counted.
+Each run makes a vehicle with irons of its own, calibrates it by the four-position fit from its positions and
+compares the heading at one random heading with the truth. Behind it is the share of errors within 1 and 1.96
+of the claimed sigma; of what the verdict refuses the reasons are counted. Whole recordings of any motion are
+CompassBench's (`scripts/bench world`) and those of `vehicles.py`.
 """
 
 from __future__ import annotations
@@ -16,26 +14,19 @@ from __future__ import annotations
 import math
 import sys
 from collections import Counter
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
-from campaign import ended, options, tried
+from campaign import ended, options, rms, tried
 from made_up import CIRCLE, EARTH, SCENARIOS, Scenario, Truth, errors_deg, headings_of, vehicle_of
-from made_up_drives import CASES, recorded
 
-from mavcompass.calibration.methods import find_method
 from mavcompass.calibration.methods.four_positions_textbook import four_positions_textbook
-from mavcompass.calibration.model import gain_matrix
 from mavcompass.calibration.observation import Dwell, FourPositionData, Step
 from mavcompass.calibration.observation.wire import unquantise
 from mavcompass.calibration.positions import solve_four_positions
 from mavcompass.calibration.positions.verdict import judge
-from mavcompass.calibration.recorded import Recorded
-from mavcompass.correction import FieldCorrection
-from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
 
 
@@ -126,13 +117,12 @@ class Score:
     error_deg: FloatArray
     ratio: float
     claimed_deg: float
-    accepted: bool = True
-    paper_deg: FloatArray | None = None
-    bound_deg: float = math.nan
+    paper_deg: FloatArray | None
+    bound_deg: float
 
 
-def by_positions(scenario: Scenario, rng: np.random.Generator) -> Score | str:
-    """Calibrate from still positions; return the reason where it is refused."""
+def scored(scenario: Scenario, rng: np.random.Generator) -> Score | str:
+    """Calibrate a vehicle; return the reason where it is refused."""
     truth, data = dwelt(scenario, rng)
     fit = solve_four_positions(data, earth=EARTH if scenario.world_model else None)
     if reasons := judge(data, fit)[0]:
@@ -143,93 +133,48 @@ def by_positions(scenario: Scenario, rng: np.random.Generator) -> Score | str:
         error,
         float(error[place]) / sigma,
         math.degrees(fit.heading_sigma_rad),
-        paper_deg=textbook_errors_deg(data, truth),
-        bound_deg=cramer_rao_deg(scenario, truth),
+        textbook_errors_deg(data, truth),
+        cramer_rao_deg(scenario, truth),
     )
 
 
-def by_motion(scenario: Scenario, kind: str, method: str, rng: np.random.Generator) -> Score | str:
-    """Calibrate from a recording."""
-    truth, track = recorded(scenario, kind, rng)
-    place = int(rng.integers(CIRCLE.size))
-    try:
-        result = find_method(method)(Recorded(track, 1, EARTH if scenario.world_model else None))
-    except PoorCalibration:
-        return "no result"
-    assert result.heading_error is not None
-    # The state holds the offset at the mean load, at which the truth is judged.
-    state = result.heading_error.state
-    correction = FieldCorrection.from_matrix(-state[:3], np.linalg.inv(gain_matrix(state[3:9])))
-    error = errors_deg(correction, truth)
-    sigma = math.degrees(float(result.heading_error.sigma_rad(CIRCLE[place])[0]))
-    return Score(error, float(error[place]) / sigma, result.heading_sigma_deg, result.accepted)
-
-
-def run(name: str, method: str, runs: int, seed: int) -> dict[str, Any]:
+def run(name: str, runs: int, seed: int) -> dict[str, Any]:
     """Run one scenario and summarise it."""
-    scenario, kind = CASES[name]
-    rng = np.random.default_rng(seed + list(CASES).index(name))
-    drawn = [
-        by_positions(scenario, rng) if method == "four-positions" else by_motion(scenario, kind, method, rng)
-        for _ in range(runs)
-    ]
+    scenario, rng = SCENARIOS[name], np.random.default_rng(seed + list(SCENARIOS).index(name))
+    drawn = [scored(scenario, rng) for _ in range(runs)]
     scores = [one for one in drawn if isinstance(one, Score)]
-    accepted = [one for one in scores if one.accepted]
-    paper = [one.paper_deg for one in scores if one.paper_deg is not None]
-    bound_deg = rms(one.bound_deg for one in scores)
+    error_deg, ratio = rms(one.error_deg for one in scores), np.abs([one.ratio for one in scores])
     return {
         "about": scenario.about,
         "runs": runs,
-        "accepted": len(accepted),
+        "accepted": len(scores),
         "refused": dict(Counter(one for one in drawn if isinstance(one, str))),
-        "heading_rms_deg": rms(one.error_deg for one in scores),
+        "heading_rms_deg": error_deg,
         "heading_p95_max_deg": float(np.percentile([np.abs(one.error_deg).max() for one in scores], 95))
         if scores
         else math.nan,
         "claimed_rms_deg": rms(one.claimed_deg for one in scores),
-        "textbook_rms_deg": rms(paper),
-        "covered": [covered(some, limit) for some in (scores, accepted) for limit in (1.0, 1.96)],
-        "over_bound": rms(one.error_deg for one in scores) / bound_deg if name == "exact steps" else math.nan,
+        "textbook_rms_deg": rms(one.paper_deg for one in scores if one.paper_deg is not None),
+        "covered": [100.0 * float((ratio < limit).mean()) if scores else math.nan for limit in (1.0, 1.96)],
+        "over_bound": error_deg / rms(one.bound_deg for one in scores),
     }
-
-
-def rms(values: Iterable[Any]) -> float:
-    """Return the root mean square of all that is in the values; nan of nothing."""
-    found = [np.mean(np.square(one)) for one in values]
-    return math.sqrt(float(np.mean(found))) if found else math.nan
-
-
-def covered(scores: Sequence[Score], limit: float) -> float:
-    """Return the share within so many sigmas, in percent."""
-    return 100.0 * float(np.mean([abs(one.ratio) < limit for one in scores])) if scores else math.nan
 
 
 def main() -> int:
     """Print the table."""
-    wanted = options(
-        __doc__,
-        method=["four-positions", "world-field", "running"],
-        runs=5000,
-        seed=20261121,
-        only=("", "one scenario by name"),
-        workers=1,
-    )
-    names = [*(SCENARIOS if wanted.method == "four-positions" else CASES)]
-    names = [name for name in names if wanted.only in ("", name)]
-    print(
-        f"{'scenario':22} {'accepted':>9} {'rms deg':>8} {'claimed':>8} {'paper':>8}"
-        "  all: 1, 1.96 s  accepted: 1, 1.96 s"
-    )
-    one = partial(run, method=wanted.method, runs=wanted.runs, seed=wanted.seed)
+    wanted = options(__doc__, runs=5000, seed=20261121, only=("", "one scenario by name"), workers=1)
+    names = [name for name in SCENARIOS if wanted.only in ("", name)]
+    print(f"{'scenario':22} {'accepted':>9} {'rms deg':>8} {'claimed':>8} {'paper':>8}    1, 1.96 s")
     table = {}
-    for name, row in zip(names, tried(one, names, workers=wanted.workers), strict=True):
+    rows = tried(partial(run, runs=wanted.runs, seed=wanted.seed), names, workers=wanted.workers)
+    for name, row in zip(names, rows, strict=True):
         table[name] = row
         sizes = " ".join(
             f"{row[size]:8.3f}" for size in ("heading_rms_deg", "claimed_rms_deg", "textbook_rms_deg")
         )
         shares = " ".join(f"{percent:7.1f}" for percent in row["covered"])
         print(f"{name:22} {row['accepted']:9} {sizes} {shares}", row["refused"] or "", flush=True)
-        if name == "exact steps" and wanted.method == "four-positions":
+        if name == "exact steps":
             print(f"{'':22} heading error / Cramer-Rao bound: {row['over_bound']:.3f}")
     return ended(wanted.json, table, wrong=False)
 

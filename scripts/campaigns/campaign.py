@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import resource
 import signal
 import sys
@@ -15,6 +16,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any, TypeVar
+
+import numpy as np
 
 T = TypeVar("T")
 Case = TypeVar("Case")
@@ -88,6 +91,12 @@ def tried(
             if every and done % every == 0:
                 print(f"  {done} of {len(cases)}, {bad} wrong", file=sys.stderr, flush=True)
             yield outcome
+
+
+def rms(values: Iterable[Any]) -> float:
+    """Return the root mean square of numbers, or of arrays, each counted once; nan of nothing."""
+    squares = [np.mean(np.square(one)) for one in values]
+    return math.sqrt(float(np.mean(squares))) if squares else math.nan
 
 
 def share(hits: int, of: int) -> str:

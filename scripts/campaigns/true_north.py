@@ -16,7 +16,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from campaign import ended, options, share
+from campaign import ended, options, rms, share
 from learning import STEP_S, wander, way
 from made_up import rocking
 
@@ -140,11 +140,6 @@ def tried(kind: str, straight: bool, drives: int, seed: int) -> Tally:
         tally.errors.append(math.degrees(wrap_pi(north.turn_rad - true)))
         tally.sigmas.append(math.degrees(north.sigma_rad))
     return tally
-
-
-def rms(values: list[float]) -> float:
-    """Return the root of the mean square."""
-    return math.sqrt(float(np.square(values).mean())) if values else math.nan
 
 
 def main() -> int:
