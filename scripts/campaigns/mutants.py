@@ -208,9 +208,8 @@ class Campaign(_First):
 
         with _changed(path, ast.unparse(tree), number):
             failed = self._failing(run, site) if tests else None
-        if not failed:
-            told = "survived" if failed is None else "did not load"
-            print(f"  {site} line {site.line}, {len(tests)} tests, {told}: {what}", flush=True)
+        told = "survived" if failed is None else f"caught by {failed}" if failed else "did not load"
+        print(f"  {site} line {site.line}, {len(tests)} tests, {told}: {what}", flush=True)
         self.verdicts[site] = Verdict(failed is not None, failed or "")
 
     def _fail_anyway(self, tests: set[str]) -> set[str]:

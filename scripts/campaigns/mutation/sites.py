@@ -61,7 +61,7 @@ def sites(root: Path, path: str) -> list[Site]:
     inside = {
         id(node)
         for function in ast.walk(tree)
-        if isinstance(function, (ast.FunctionDef, ast.Lambda))
+        if isinstance(function, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda))
         for statement in (function.body if isinstance(function.body, list) else [function.body])
         for node in ast.walk(statement)
     }
