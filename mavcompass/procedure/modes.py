@@ -114,17 +114,11 @@ class ModeKeeper:
         self.before.append(self.state.mode)
         return (yield from self.go_to(context, mode))
 
-    def restore(self, context: Context) -> Script[bool]:
-        """Put the mode before the last change back; False where that is not what it came to.
-
-        Nothing is done where somebody else has chosen another mode.
-        """
-        if not self.before:
-            return True
-        mode = self.before.pop()
-        if self.is_foreign():
-            return False
-        return (yield from self.go_to(context, mode))
+    def restore(self, context: Context) -> Script[None]:
+        """Put the mode before the last change back, unless somebody else has chosen another since."""
+        mode = self.before.pop() if self.before else None
+        if mode is not None and not self.is_foreign():
+            yield from self.go_to(context, mode)
 
     def go_to(self, context: Context, mode: int) -> Script[bool]:
         """Change to a mode for good; False where the vehicle refuses."""

@@ -88,9 +88,7 @@ def _span(track: Track) -> tuple[float, float]:
     series = [compass.reported for compass in track.compasses.values()]
     others = (track.acc_mps2, track.attitude_rad, track.place, track.current_a)
     series += [one for one in others if one is not None]
-    times = [one.time_s for one in series if len(one)]
-    if not times:
-        return 0.0, 0.0
+    times = [one.time_s for one in series if len(one)] or [np.zeros(1)]
     return float(min(t[0] for t in times)), float(max(t[-1] for t in times))
 
 

@@ -109,7 +109,7 @@ class OffboardTurn:
             yield from self._streaming_beside(context, self.modes.restore(context))
         self._streaming = False
 
-    def _streaming_beside(self, context: Context, script: Script[bool]) -> Script[bool]:
+    def _streaming_beside(self, context: Context, script: Script[bool | None]) -> Script[bool]:
         """Keep the stream up beside a script: after a stop no watch is called any more."""
         try:
             wake_s = next(script)
