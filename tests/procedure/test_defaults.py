@@ -18,6 +18,7 @@ from mavcompass.procedure.positions import DwellSettings, HandMover, Rest
 from mavcompass.procedure.script import Context
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.procedure.turning import GyroAngle
+from mavcompass.service.work.tasks import CalibrationRequest
 
 DEG = math.radians(1.0)
 DWELL = {
@@ -34,6 +35,10 @@ CALIBRATE = {
     "step_rad": 90.0 * DEG, "enough_deg": 0.3, "most_positions": 8, "writing": "ask", "system": None,
     "rate_hz": 25.0, "year": 2026.0, "reboot": False, "orientation": False,
     "rewrite": False, "dwell": DwellSettings(), "limits": SafetyLimits(),
+}  # fmt: skip
+ASKED = {
+    "compasses": (), "motion": "auto", "writing": "ask", "max_error_deg": 2.0, "positions": 4,
+    "set_mode": False, "arm": False, "takeoff_m": None, "land": False, "orientation": False, "rewrite": False,
 }  # fmt: skip
 PRIOR = {
     "gain_sigma": 0.25, "vertical_gain_sigma": 0.05, "cross_sigma": 0.04, "site_sigma_mgauss": 5.0,
@@ -56,6 +61,7 @@ BY_HAND = {
         (SafetyLimits(), SAFE),
         (Permissions(), MAY),
         (CalibrateSettings(), CALIBRATE),
+        (CalibrationRequest(), ASKED),
         (CheckSettings(), {"turn": "none", "system": None, "rate_hz": 25.0, "year": 2026.0}),
         (HandMover(GyroAngle(), Rest()), BY_HAND),
         (DEFAULT_PRIOR, PRIOR),

@@ -99,14 +99,9 @@ class Charge:
 
 @pytest.mark.parametrize(
     ("motion", "armed", "may_arm", "by"),
-    [
-        ("hand", False, False, HandMover),
-        ("hand", False, True, HandMover),
-        ("auto", False, False, HandMover),
-        ("auto", True, False, VehicleMover),
-        ("vehicle", True, False, VehicleMover),
-    ],
-)
+    [("hand", False, False, HandMover), ("hand", False, True, HandMover), ("auto", False, False, HandMover),
+     ("auto", True, False, VehicleMover), ("vehicle", True, False, VehicleMover)],
+)  # fmt: skip
 def test_a_person_turns_what_is_disarmed_and_the_vehicle_itself_what_is_armed(
     motion: str, armed: bool, may_arm: bool, by: type
 ) -> None:
@@ -142,15 +137,9 @@ def test_what_nobody_knows_how_to_turn_is_refused() -> None:
 
 @pytest.mark.parametrize(
     ("kind", "function", "wished_m", "room_m"),
-    [
-        ("rover", 0.0, 5.0, 5.0),
-        ("rover", 26.0, 5.0, 15.0),
-        ("rover", 26.0, 20.0, 20.0),
-        ("rover", 25.0, 5.0, 5.0),
-        ("boat", 0.0, 5.0, 15.0),
-        ("boat", 26.0, 5.0, 40.0),
-    ],
-)
+    [("rover", 0.0, 5.0, 5.0), ("rover", 26.0, 5.0, 15.0), ("rover", 26.0, 20.0, 20.0),
+     ("rover", 25.0, 5.0, 5.0), ("boat", 0.0, 5.0, 15.0), ("boat", 26.0, 5.0, 40.0)],
+)  # fmt: skip
 def test_what_cannot_pivot_has_its_room(kind: Kind, function: float, wished_m: float, room_m: float) -> None:
     charge = Charge(kind, limits=SafetyLimits(drift_m=wished_m))
     assert charge.taken({"SERVO1_FUNCTION": function}).error is None

@@ -57,8 +57,8 @@ def test_a_mode_is_asked_for_as_its_autopilot_counts(
     autopilot: str, mode: int, main: float, sub: float
 ) -> None:
     asked = mode_command(Context(system=7, component=1), autopilot, mode)
-    assert (asked.command, asked.target_system, asked.param1) == (MavCmd.DO_SET_MODE, 7, 1.0)
-    assert (asked.param2, asked.param3) == (main, sub)
+    assert (asked.command, asked.target_system, asked.confirmation) == (MavCmd.DO_SET_MODE, 7, 0)
+    assert (asked.param1, asked.param2, asked.param3) == (1.0, main, sub)
 
 
 class Vehicle:

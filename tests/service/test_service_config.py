@@ -119,13 +119,8 @@ def test_host_and_port_are_split(text: str, parts: tuple[str, int]) -> None:
 
 @pytest.mark.parametrize(
     ("listen", "is_open"),
-    [
-        ("127.0.0.1:1", False),
-        ("localhost:1", False),
-        ("[::1]:1", False),
-        ("0.0.0.0:1", True),
-        ("boat:1", True),
-    ],
-)
+    [("127.0.0.1:1", False), ("localhost:1", False), ("[::1]:1", False), ("0.0.0.0:1", True),
+     ("boat:1", True)],
+)  # fmt: skip
 def test_a_page_open_to_the_network_is_known_as_such(listen: str, is_open: bool) -> None:
     assert parse_config(f'[http]\nlisten = "{listen}"').is_open_to_the_network is is_open

@@ -11,12 +11,15 @@ from types import ModuleType
 import pytest
 from running_service import StartService, configured, wait_for
 
+from mavcompass import messages as mav
+from mavcompass.enums import MavCmd
 from mavcompass.service.config import VehicleConfig
 from mavcompass.service.station import Station
 from mavcompass.service.work.clock import Schedule
 from mavcompass.service.work.history import History
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.server import VehicleServer
+from mavcompass.vehicle.links.simulated import SimulatedLink
 from mavcompass.vehicle.stopping import StopRequest
 from mavcompass.vehicle.transport.tcp import TcpServerTransport
 
@@ -141,9 +144,27 @@ def test_a_stop_of_the_service_halts_the_vehicle_first(start_service: StartServi
     assert task is not None and "stopping" in task.error
 
 
-def test_only_the_vehicle_of_the_configured_system_is_served(tmp_path: Path) -> None:
-    from mavcompass.vehicle.links.simulated import SimulatedLink
+@pytest.mark.parametrize(("kind", "may_hover"), [("rover", False), ("quadplane", True)])
+def test_what_is_asked_for_is_given_back_at_the_end(
+    kind: str, may_hover: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link, asked = SimulatedLink.of(kind, seed=1, speed=20.0), dict[int, float]()
+    send = link.send
 
+    def note(message: mav.Message) -> None:
+        if isinstance(message, mav.CommandLong) and message.command == MavCmd.SET_MESSAGE_INTERVAL:
+            asked[int(message.param1)] = message.param2
+        send(message)
+
+    monkeypatch.setattr(link, "send", note)
+    station = Station(configured(tmp_path), History(tmp_path / "history.db"), lambda: link)
+    station.start()
+    wait_for(lambda: station.headings)
+    assert all(asked.values()) and (mav.message_id(mav.ExtendedSysState) in asked) is may_hover
+    assert station.stop() and len(asked) > 5 and not any(asked.values())
+
+
+def test_only_the_vehicle_of_the_configured_system_is_served(tmp_path: Path) -> None:
     link = SimulatedLink(SimulatedAutopilot("rover", seed=1, system=7), speed=20.0)
     config = configured(tmp_path, vehicle=VehicleConfig(source="sim:rover", system=3))
     station = Station(config, History(tmp_path / "history.db"), lambda: link)

@@ -74,15 +74,10 @@ def test_scaled_imu_counts_where_raw_imu_was_not_heard_lately() -> None:
 
 @pytest.mark.parametrize(
     ("message", "restarted"),
-    [
-        (mav.RawImu(time_usec=98_100_000), False),
-        (mav.RawImu(time_usec=2_000_000), True),
-        (mav.ScaledImu(time_boot_ms=2000), True),
-        (mav.Attitude(time_boot_ms=2000), True),
-        (mav.GlobalPositionInt(time_boot_ms=2000), True),
-        (mav.Heartbeat(), False),
-    ],
-)
+    [(mav.RawImu(time_usec=98_100_000), False), (mav.RawImu(time_usec=2_000_000), True),
+     (mav.ScaledImu(time_boot_ms=2000), True), (mav.Attitude(time_boot_ms=2000), True),
+     (mav.GlobalPositionInt(time_boot_ms=2000), True), (mav.Heartbeat(), False)],
+)  # fmt: skip
 def test_a_clock_that_begins_anew_is_a_restart(message: mav.Message, restarted: bool) -> None:
     seen = view()
     seen.hear(heard(mav.RawImu(time_usec=100_000_000, **FIELD)))
@@ -129,12 +124,8 @@ def test_px4s_raw_readings_are_corrected_by_its_parameters_as_soon_as_these_are_
 
 @pytest.mark.parametrize(
     ("sigma_deg", "sigma_rad"),
-    [
-        (1.0, math.radians(1.0)),
-        (None, prior_sigma_rad(False)),
-        (math.nan, prior_sigma_rad(False)),
-    ],
-)
+    [(1.0, math.radians(1.0)), (None, prior_sigma_rad(False)), (math.nan, prior_sigma_rad(False))],
+)  # fmt: skip
 def test_how_good_the_calibration_is(sigma_deg: float | None, sigma_rad: float) -> None:
     seen = view()
     seen.set_calibration_sigma(1, sigma_deg)  # nothing was heard of it yet
@@ -173,12 +164,9 @@ def test_a_current_is_known_where_it_is_measured(told: int, current_a: float | N
 
 @pytest.mark.parametrize(
     ("kind", "state", "is_now", "fixes"),
-    [
-        ("plane", MavVtolState.FW, "plane", 1),
-        ("plane", MavVtolState.MC, "vtol", 0),
-        ("rover", MavVtolState.UNDEFINED, "rover", 1),
-    ],
-)
+    [("plane", MavVtolState.FW, "plane", 1), ("plane", MavVtolState.MC, "vtol", 0),
+     ("rover", MavVtolState.UNDEFINED, "rover", 1)],
+)  # fmt: skip
 def test_a_plane_that_its_rotors_hold_goes_any_way(
     kind: Kind, state: MavVtolState, is_now: str, fixes: int
 ) -> None:

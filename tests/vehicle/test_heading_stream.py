@@ -57,12 +57,15 @@ def off_deg(found: LiveHeading, link: SimulatedLink) -> float:
 
 @pytest.mark.parametrize("kind", ["rover", "px4-copter"])
 def test_it_points_where_the_nose_does(kind: str) -> None:
-    link = listening(kind)
-    found = first(link)
-    assert abs(off_deg(found[-1], link)) < 3.0
-    times = [heading.boot_s for heading in found]
-    assert times == sorted(set(times)), "each fresh message once"
-    assert all(h.grid_rad is not None and 0.0 <= h.grid_rad < 2.0 * math.pi for h in found)
+    for yaw_deg in (-0.5, 0.5, 90.0):  # the declination goes past north
+        link = listening(kind)
+        link.autopilot.body.yaw_rad = math.radians(yaw_deg)  # type: ignore[attr-defined]
+        found = first(link)
+        assert abs(off_deg(found[-1], link)) < 3.0
+        times = [heading.boot_s for heading in found]
+        assert times == sorted(set(times)), "each fresh message once"
+        told = [rad for h in found for rad in (h.magnetic_rad, h.true_rad, h.grid_rad)]
+        assert all(rad is not None and 0.0 <= rad < 2.0 * math.pi for rad in told)
 
 
 @pytest.mark.parametrize(("orientation", "least_deg"), [(0, 0.0), (2, 30.0), (4, 60.0)])

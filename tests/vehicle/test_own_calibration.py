@@ -63,17 +63,21 @@ def test_ardupilot_is_started_without_saving_watched_and_ended() -> None:
     assert all(dict(show.data)["tumble"] for show in shown)
 
 
-def test_without_a_fix_ardupilot_tells_no_scale() -> None:
+def found_by(told: MagCalReport) -> OwnFinding:
     with vehicle_script(
         Expect(CommandLong(command=START, param1=1.0)),
         accepted(START),
         Reply(MagCalProgress(0, 1, ONE, 1, 20)),
-        Reply(report()),
+        Reply(told),
         Expect(CommandLong(command=CANCEL, param1=1.0)),
         accepted(CANCEL),
     ) as link:
-        found = run(Machine(of_ardupilot), link)
-    assert found[1].correction is not None and found[1].correction.scale == 1.0
+        return run(Machine(of_ardupilot), link)[1]
+
+
+def test_without_a_fix_ardupilot_tells_no_scale() -> None:
+    found = found_by(report()).correction
+    assert found is not None and found.scale == 1.0
 
 
 @pytest.mark.parametrize(
@@ -89,16 +93,8 @@ def test_without_a_fix_ardupilot_tells_no_scale() -> None:
     ],
 )
 def test_what_ardupilot_could_not_do_is_said_in_words(status: int, more: dict[str, int], says: str) -> None:
-    with vehicle_script(
-        Expect(CommandLong(command=START, param1=1.0)),
-        accepted(START),
-        Reply(MagCalProgress(0, 1, ONE, 1, 20)),
-        Reply(report(status=status, **more)),
-        Expect(CommandLong(command=CANCEL, param1=1.0)),
-        accepted(CANCEL),
-    ) as link:
-        found = run(Machine(of_ardupilot), link)
-    assert found[1].correction is None and says in found[1].why_not
+    found = found_by(report(status=status, **more))
+    assert found.correction is None and says in found.why_not
 
 
 def test_ardupilot_that_does_not_begin_says_why() -> None:

@@ -14,6 +14,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.enums import EkfFlag
 from mavcompass.heading.fault_isolation import HeadingSource
+from mavcompass.heading.true_north import NorthSeen, TrueNorth
 from mavcompass.kinds import Kind
 from mavcompass.procedure.check import CheckReport, items
 from mavcompass.procedure.check.items import CheckItem, Reading, Verdict
@@ -68,13 +69,9 @@ def test_matrix(stretch: float, verdict: Verdict) -> None:
 
 @pytest.mark.parametrize(
     ("autopilot", "steers", "verdict"),
-    [
-        ("ardupilot", True, "fail"),
-        ("ardupilot", False, "warn"),
-        ("px4", True, "fail"),
-        ("px4", False, "pass"),
-    ],
-)
+    [("ardupilot", True, "fail"), ("ardupilot", False, "warn"), ("px4", True, "fail"),
+     ("px4", False, "pass")],
+)  # fmt: skip
 def test_a_compass_that_never_spoke(autopilot: str, steers: bool, verdict: Verdict) -> None:
     item = items.judge_silence(2, "SCALED_IMU2", autopilot, steers)
     assert item.verdict == verdict and with_remedy(item)
@@ -105,16 +102,9 @@ def test_the_autopilots_own_yaw(off_deg: float, verdict: Verdict, source: Steeri
 
 @pytest.mark.parametrize(
     ("percent", "verdict"),
-    [
-        (0.0, "pass"),
-        (5.9, "pass"),
-        (6.1, "warn"),
-        (-6.1, "warn"),
-        (14.9, "warn"),
-        (15.1, "fail"),
-        (-15.1, "fail"),
-    ],
-)
+    [(0.0, "pass"), (5.9, "pass"), (6.1, "warn"), (-6.1, "warn"), (14.9, "warn"), (15.1, "fail"),
+     (-15.1, "fail")],
+)  # fmt: skip
 def test_strength(percent: float, verdict: Verdict) -> None:
     strength, dip = items.judge_field(reading(1.0 + percent / 100.0), WORLD)
     assert strength.verdict == verdict and with_remedy(strength) and dip.verdict == "pass"
@@ -248,6 +238,19 @@ def test_turn(off_deg: float, sigma_deg: float, verdict: Verdict) -> None:
     assert "by the gyro 90.0 deg" in item.text and f"by compass 1 {90.0 + off_deg:.1f} deg" in item.text
 
 
+@pytest.mark.parametrize(
+    ("off_deg", "sigma_deg", "verdict"),
+    [(2.9, 0.8, "pass"), (-3.1, 0.8, "warn"), (8.9, 0.8, "warn"), (9.1, 0.8, "fail"),
+     (-4.4, 1.5, "pass"), (4.6, 1.5, "warn"), (13.4, 1.5, "warn"), (-13.6, 1.5, "fail")],
+)  # fmt: skip
+def test_true_north(off_deg: float, sigma_deg: float, verdict: Verdict) -> None:
+    seen_rad = math.sqrt(math.radians(sigma_deg) ** 2 - WORLD.declination_sigma_rad**2)
+    seen = NorthSeen("gps-course", math.radians(off_deg), 0.0, seen_rad, 600.0)
+    (item,) = items.judge_north(2, TrueNorth.of(WORLD, [seen]))
+    assert item.verdict == verdict and with_remedy(item) and item.instance == 2
+    assert item.value == pytest.approx(off_deg) and item.limit == pytest.approx(max(3.0, 3.0 * sigma_deg))
+
+
 def test_the_worst_counts_and_what_is_unknown_is_null() -> None:
     assert items.worst([]) == "pass" and items.worst(["pass", "warn"]) == "warn"
     assert items.worst(["fail", "warn", "pass"]) == "fail"
@@ -273,6 +276,7 @@ def report(*verdicts: Verdict, turned: bool = True, instance: int = 0) -> CheckR
         (report("pass", "pass"), "Fit to drive: 2 checks passed.", False),
         (report("pass", turned=False), "Fit to drive: 1 check passed, without a turn.", False),
         (report("pass", "warn"), "Fit to drive, with care: Compass 1 is warn.", False),
+        (report(*["warn"] * 3), "Fit to drive, with care: Compass 1 is warn, and 2 more.", False),
         (
             report("warn", "fail", "fail", "fail"),
             "Not fit to drive: Compass 1 is fail. 3 of 4 checks failed.",

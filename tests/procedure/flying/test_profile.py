@@ -40,6 +40,8 @@ def test_the_yaw_is_unwrapped_and_smooth() -> None:
     assert profile.yaw_rad[middle] == pytest.approx(0.5 * profile.time_s[middle])
     assert profile.yaw_rate_radps[middle] == pytest.approx(np.full(profile.time_s.size - 8, 0.5))
     assert profile.rate_hz == pytest.approx(20.0) and profile.utc_s is None and profile.kind == "rover"
+    jump = profile_of(recording(np.where(TIME < 10.0, 0.0, 0.1)))  # of an estimator: no turn of 1 rad/s
+    assert jump.yaw_rate_radps.max() == pytest.approx(0.1 / 0.5)
 
 
 def test_an_independent_attitude_is_believed_first() -> None:

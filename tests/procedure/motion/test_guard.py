@@ -25,14 +25,9 @@ def guarded(lat: int, lon: int) -> tuple[VehicleState, MotionGuard]:
 
 @pytest.mark.parametrize(
     ("start", "now", "strayed"),
-    [
-        (1_799_999_990, -1_799_999_990, False),
-        (-1_799_999_990, 1_799_999_990, False),
-        (1_799_999_990, -1_799_990_000, True),
-        (85_000_000, 85_000_100, False),
-        (85_000_000, 85_001_000, True),
-    ],
-)
+    [(1_799_999_990, -1_799_999_990, False), (-1_799_999_990, 1_799_999_990, False),
+     (1_799_999_990, -1_799_990_000, True), (85_000_000, 85_000_100, False), (85_000_000, 85_001_000, True)],
+)  # fmt: skip
 def test_the_room_to_move_in_goes_on_beyond_the_date_line(start: int, now: int, strayed: bool) -> None:
     state, guard = guarded(-170_000_000, start)
     state.hear(Incoming(0.1, 1, 1, mav.GlobalPositionInt(lat=-170_000_000, lon=now)))

@@ -112,18 +112,12 @@ def test_channels_that_we_move_are_not_the_pilots() -> None:
 
 @pytest.mark.parametrize(
     ("kind", "held", "said"),
-    [
-        ("rover", sticks(1650, 1500, 1100, 1500), False),
-        ("rover", sticks(1651, 1500, 1100, 1500), True),
-        ("rover", sticks(1349, 1500, 1100, 1500), True),
-        ("rover", sticks(1500, 1900, 1100, 1900), False),
-        ("copter", sticks(1500, 1900, 1100, 1500), True),
-        ("copter", sticks(1500, 1500, 1900, 1500), False),
-        ("copter", sticks(1500, 1500, 1100, 1100), True),
-        ("sub", sticks(1900, 1900, 1900, 1500), False),
-        ("sub", sticks(1500, 1500, 1500, 1900), True),
-    ],
-)
+    [("rover", sticks(1650, 1500, 1100, 1500), False), ("rover", sticks(1651, 1500, 1100, 1500), True),
+     ("rover", sticks(1349, 1500, 1100, 1500), True), ("rover", sticks(1500, 1900, 1100, 1900), False),
+     ("copter", sticks(1500, 1900, 1100, 1500), True), ("copter", sticks(1500, 1500, 1900, 1500), False),
+     ("copter", sticks(1500, 1500, 1100, 1100), True), ("sub", sticks(1900, 1900, 1900, 1500), False),
+     ("sub", sticks(1500, 1500, 1500, 1900), True)],
+)  # fmt: skip
 def test_a_stick_that_is_held_is_no_start(kind: Kind, held: mav.RcChannels, said: bool) -> None:
     if not said:
         Scene(kind, held)

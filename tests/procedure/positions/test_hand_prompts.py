@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from mavcompass.errors import LinkLost, PoorCalibration
-from mavcompass.procedure.positions import DwellSettings
+from mavcompass.procedure.positions import DwellSettings, Rest
 from mavcompass.procedure.positions.movers import HandMover
 from mavcompass.procedure.script import Context, Machine, Show, Tick
 from mavcompass.procedure.turning import GyroAngle
@@ -22,7 +22,8 @@ class Person:
 
     def __init__(self, *visited_deg: float, tilt_deg: float = 0.0) -> None:
         self.gyro, self.still_s, self.heard = GyroAngle(), 0.0, True
-        self.rest: Any = SimpleNamespace(heard_s=0.0, for_s=lambda: self.still_s, why_not="hunting")
+        heard_s = Rest().heard_s
+        self.rest: Any = SimpleNamespace(heard_s=heard_s, for_s=lambda: self.still_s, why_not="hunting")
         self.mover = HandMover(self.gyro, self.rest, visited_rad=[d * DEG for d in visited_deg])
         self.lean(tilt_deg)
         self.at(visited_deg[-1] if visited_deg else 0.0)
@@ -64,10 +65,12 @@ def test_the_way_is_told_until_it_is_near() -> None:
 
 
 def test_rest_anywhere_new_is_a_position() -> None:
+    for taken, at in (((0.0,), 45.0), ((0.0, 90.0), 10.0)):  # less than fifty degrees from one of them
+        person = Person(*taken)
+        person.at(at)
+        person.still_s = 9.0
+        assert not person.runs(person.next(), 1.0).done
     person = Person(0.0)
-    person.at(45.0)
-    person.still_s = 9.0
-    assert not person.runs(person.next(), 1.0).done  # less than fifty degrees away
     person.at(55.0)
     person.still_s = 1.4
     machine = person.runs(person.next(), 1.0)

@@ -62,17 +62,11 @@ def test_a_stick_goes_to_its_thousandths(rate_deg_s: float, share: int) -> None:
 
 @pytest.mark.parametrize(
     ("kind", "by", "steer"),
-    [
-        ("rover", "rc-override", SteeringOverride(1)),
-        ("boat", "rc-override", SteeringOverride(1)),
-        ("sub", "rc-override", SteeringOverride(4)),
-        ("rover", "manual-control", ManualAxis("y", 0)),
-        ("boat", "manual-control", ManualAxis("y", 0)),
-        ("sub", "manual-control", ManualAxis("r", 500)),
-        ("vtol", "rc-override", SteeringOverride(4)),
-        ("vtol", "manual-control", ManualAxis("r", 500)),
-    ],
-)
+    [("rover", "rc-override", SteeringOverride(1)), ("boat", "rc-override", SteeringOverride(1)),
+     ("sub", "rc-override", SteeringOverride(4)), ("rover", "manual-control", ManualAxis("y", 0)),
+     ("boat", "manual-control", ManualAxis("y", 0)), ("sub", "manual-control", ManualAxis("r", 500)),
+     ("vtol", "rc-override", SteeringOverride(4)), ("vtol", "manual-control", ManualAxis("r", 500))],
+)  # fmt: skip
 def test_the_pilots_controls_of_each_vehicle(kind: str, by: str, steer: Steer) -> None:
     turn = turn_by_controls(kind, by)  # type: ignore[arg-type]
     assert turn is not None and turn.steer == steer
@@ -143,14 +137,9 @@ def test_an_attitude_target_asks_for_the_yaw_rate_and_no_thrust() -> None:
 
 @pytest.mark.parametrize(
     ("rate_deg_s", "left_deg", "step_deg", "sense"),
-    [
-        (51.0, 90.0, 8.0, 1.0),
-        (-51.0, 90.0, 8.0, -1.0),
-        (20.0, 5.0, 5.0, 1.0),
-        (20.0, -3.0, 0.0, 1.0),
-        (-5.0, 90.0, 4.25, -1.0),
-    ],
-)
+    [(51.0, 90.0, 8.0, 1.0), (-51.0, 90.0, 8.0, -1.0), (20.0, 5.0, 5.0, 1.0), (20.0, -3.0, 0.0, 1.0),
+     (-5.0, 90.0, 4.25, -1.0)],
+)  # fmt: skip
 def test_a_yaw_step_is_relative_and_no_farther_than_what_is_left_or_ends_in_time(
     rate_deg_s: float, left_deg: float, step_deg: float, sense: float
 ) -> None:
@@ -183,14 +172,9 @@ def test_a_way_is_built_from_the_numbers_of_a_profile(way: str, steer: Steer, ar
 
 @pytest.mark.parametrize(
     ("kind", "ackermann", "name", "drift_m"),
-    [
-        ("rover", False, "rover", 0.0),
-        ("rover", True, "ackermann-rover", 15.0),
-        ("boat", True, "steered-boat", 40.0),
-        ("boat", False, "boat", 15.0),
-        ("copter", True, "copter", 0.0),
-    ],
-)
+    [("rover", False, "rover", 0.0), ("rover", True, "ackermann-rover", 15.0),
+     ("boat", True, "steered-boat", 40.0), ("boat", False, "boat", 15.0), ("copter", True, "copter", 0.0)],
+)  # fmt: skip
 def test_steered_wheels_and_rudders_have_profiles_of_their_own(
     kind: str, ackermann: bool, name: str, drift_m: float
 ) -> None:

@@ -129,7 +129,7 @@ def test_progress_never_falls_and_is_complete_when_there_is_a_solution() -> None
         running.show(Show("turn", "x", fraction))
         message = component.progress(running, (1, 2))[1]
         assert isinstance(message, mav.MagCalProgress)
-        assert (message.compass_id, message.cal_mask) == (1, 3)
+        assert (message.compass_id, message.cal_mask, message.attempt) == (1, 3, 1)
         seen.append(message.completion_pct)
         assert sum(bin(byte).count("1") for byte in message.completion_mask) == round(0.8 * seen[-1])
     assert seen == [0, 30, 30, 80, 99]

@@ -138,14 +138,9 @@ def test_a_check_names_what_does_not_pass_and_sums_up_in_mavlink_1_too(ground: G
 
 @pytest.mark.parametrize(
     "line",
-    [
-        "mavcompass",
-        "mavcompass calibrate sideways",
-        "mavcompass check write",
-        "mavcompass yes",
-        "mavcompass stop",
-    ],
-)
+    ["mavcompass", "mavcompass calibrate sideways", "mavcompass check write", "mavcompass yes",
+     "mavcompass stop"],
+)  # fmt: skip
 def test_what_makes_no_sense_now_is_answered_by_the_usage(line: str, ground: Ground) -> None:
     ground.type(line)
     assert ground.console.lines == [f"mavcompass: {mavproxy._USAGE}"]

@@ -115,6 +115,14 @@ def test_memory_is_bounded_and_standing_is_not_kept(drive: Drive, monkeypatch: p
     assert max(gaps) < 0.3, "what was left out leaves no gap for the gyro to be carried across"
 
 
+def test_where_only_another_compass_speaks_no_gyro_tells_the_turns(drive: Drive) -> None:
+    for time_s in range(100, 200):
+        imu = mav.ScaledImu2(1000 * time_s, 0, 0, -1000, 0, 0, 0, 240, 0, -520)
+        drive.learning.hear(drive.view, Incoming(float(time_s), 1, 1, imu))
+    drive.tend()
+    assert not drive.learning._kept.count and not drive.learning.lessons
+
+
 @pytest.mark.parametrize(
     "rates",
     [[math.radians(0.4)] * 600, [math.radians(2.0), -math.radians(2.0)] * 300],

@@ -14,6 +14,7 @@ import pytest
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import IDENTITY
 from mavcompass.errors import MavCompassError, UsageError, WriteFailed
+from mavcompass.messages import Heartbeat, Incoming
 from mavcompass.procedure.report import AutopilotHeading
 from mavcompass.procedure.script import Show
 from mavcompass.service.config import ServiceConfig, StorageConfig
@@ -129,6 +130,16 @@ def test_what_the_disk_does_not_take_is_told_and_the_rest_goes_on(
     assert list((tmp_path / "reports").iterdir()) == []
 
 
+def test_a_recording_is_frames_each_behind_its_time(tmp_path: Path) -> None:
+    recorder, path = Recorder(), tmp_path / "recordings" / "calibration-1.tlog"
+    for time_s in (5.0, 6.0, 8.0):
+        recorder.add(Incoming(time_s, 1, 1, Heartbeat()))
+    recorder.save(path)
+    data, size = path.read_bytes(), path.stat().st_size // 3
+    stamps = [int.from_bytes(data[k * size :][:8], "big") for k in range(3)]
+    assert np.diff(stamps) == pytest.approx([1e6, 2e6], abs=1.0) and data[8::size] == b"\xfd" * 3
+
+
 @pytest.mark.parametrize("name", ["other.json", "../history.db", "/etc/passwd", ".."])
 def test_only_undo_files_of_the_folder_are_undone(name: str, results: Results, tmp_path: Path) -> None:
     (tmp_path / "undo").mkdir()
@@ -141,13 +152,10 @@ def test_only_undo_files_of_the_folder_are_undone(name: str, results: Results, t
 
 @pytest.mark.parametrize(
     ("compasses", "sigma"),
-    [
-        ([{"instance": 2, "heading_sigma_deg": 0.5}], 0.5),
-        ([{"instance": 2, "heading_sigma_deg": None}], None),
-        ([{"instance": 1, "heading_sigma_deg": 0.5}], None),
-        ([], None),
-    ],
-)
+    [([{"instance": 2, "heading_sigma_deg": 0.5}], 0.5),
+     ([{"instance": 2, "heading_sigma_deg": None}], None),
+     ([{"instance": 1, "heading_sigma_deg": 0.5}], None), ([], None)],
+)  # fmt: skip
 def test_the_sigma_that_the_history_claims(compasses: list[dict[str, Any]], sigma: float | None) -> None:
     entry = Entry(1, "now", "calibration", "key", True, "", (), {"compasses": compasses}, None, None)
     assert sigma_deg(entry, 2) == sigma

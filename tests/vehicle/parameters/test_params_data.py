@@ -61,15 +61,9 @@ def test_the_exact_cure_of_a_fault_may_be_written(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("kind", "ackermann", "name"),
-    [
-        ("rover", False, "rover"),
-        ("rover", True, "ackermann-rover"),
-        ("boat", False, "boat"),
-        ("boat", True, "steered-boat"),
-        ("copter", False, "copter"),
-        ("sub", False, "sub"),
-    ],
-)
+    [("rover", False, "rover"), ("rover", True, "ackermann-rover"), ("boat", False, "boat"),
+     ("boat", True, "steered-boat"), ("copter", False, "copter"), ("sub", False, "sub")],
+)  # fmt: skip
 def test_every_vehicle_that_can_turn_itself_has_its_profile(kind: str, ackermann: bool, name: str) -> None:
     ways = strategies_for(kind, "ardupilot", ackermann)
     profile = vehicle_profile(kind, "ardupilot", ackermann)

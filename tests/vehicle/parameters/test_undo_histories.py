@@ -36,17 +36,10 @@ WHOSE = Nameplate("ardupilot", 1, "0a", "32", "4.5.7", (97_539, 0, 0))
 
 @pytest.mark.parametrize(
     ("changed", "same"),
-    [
-        ({}, True),
-        ({"firmware": "4.6.3"}, True),
-        ({"uid": "0b"}, False),
-        ({"uid": ""}, False),
-        ({"system": 2}, False),
-        ({"board": "33"}, False),
-        ({"compasses": (97_539, 131_874, 0)}, False),
-        ({"autopilot": "px4"}, False),
-    ],
-)
+    [({}, True), ({"firmware": "4.6.3"}, True), ({"uid": "0b"}, False), ({"uid": ""}, False),
+     ({"system": 2}, False), ({"board": "33"}, False), ({"compasses": (97_539, 131_874, 0)}, False),
+     ({"autopilot": "px4"}, False)],
+)  # fmt: skip
 def test_a_vehicle_is_the_same_where_all_but_its_firmware_is(changed: dict[str, object], same: bool) -> None:
     other = Nameplate.of_document({**WHOSE.document(), **changed})
     assert WHOSE.is_same(other) is other.is_same(WHOSE) is same
