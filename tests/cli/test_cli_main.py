@@ -218,14 +218,9 @@ def test_a_command_may_return_its_exit_code(probe: Probe) -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "heard"),
-    [
-        (["probe"], []),
-        (["-v", "probe"], ["info"]),
-        (["probe", "-v"], ["info"]),
-        (["-v", "probe", "-v"], ["info", "debug"]),
-        (["probe", "-vv"], ["info", "debug"]),
-    ],
-)
+    [(["probe"], []), (["-v", "probe"], ["info"]), (["probe", "-v"], ["info"]),
+     (["-v", "probe", "-v"], ["info", "debug"]), (["probe", "-vv"], ["info", "debug"])],
+)  # fmt: skip
 def test_v_logs_to_standard_error_before_and_after_the_command(
     arguments: list[str], heard: list[str], probe: Probe, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -307,12 +302,9 @@ def test_completion_is_a_script_for_the_shell(shell: str, capsys: pytest.Capture
 
 @pytest.mark.parametrize(
     ("typed", "offered"),
-    [
-        ("mavcompass cal", "plain,calibrate"),
-        ("mavcompass gap dia", "plain,diagnose"),
-        ("x check --st", "plain,--strict"),
-    ],
-)
+    [("mavcompass cal", "plain,calibrate"), ("mavcompass gap dia", "plain,diagnose"),
+     ("x check --st", "plain,--strict")],
+)  # fmt: skip
 def test_completion_completes_commands_and_options(typed: str, offered: str) -> None:
     asked = {
         "_MAVCOMPASS_COMPLETE": "bash_complete",

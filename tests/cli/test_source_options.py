@@ -16,17 +16,9 @@ from mavcompass.vehicle.transport import parse_address
 
 @pytest.mark.parametrize(
     ("value", "chosen"),
-    [
-        ("1", (1,)),
-        ("3,1", (1, 3)),
-        ("2,2", (2,)),
-        ("all", ()),
-        ("0", None),
-        ("4", None),
-        ("x", None),
-        ("1,", None),
-    ],
-)
+    [("1", (1,)), ("3,1", (1, 3)), ("2,2", (2,)), ("all", ()), ("0", None), ("4", None), ("x", None),
+     ("1,", None)],
+)  # fmt: skip
 def test_compasses(value: str, chosen: tuple[int, ...] | None) -> None:
     asked: Any = (click.Context(click.Command("x")), click.Option(["--compass"]), value)
     if chosen is None:
@@ -38,17 +30,9 @@ def test_compasses(value: str, chosen: tuple[int, ...] | None) -> None:
 
 @pytest.mark.parametrize(
     ("value", "system"),
-    [
-        (None, None),
-        ("all", "all"),
-        ("1", 1),
-        ("255", 255),
-        ("0", 0.5),
-        ("256", 0.5),
-        ("-1", 0.5),
-        ("one", 0.5),
-    ],
-)
+    [(None, None), ("all", "all"), ("1", 1), ("255", 255), ("0", 0.5), ("256", 0.5), ("-1", 0.5),
+     ("one", 0.5)],
+)  # fmt: skip
 def test_systems(value: str | None, system: Any) -> None:
     asked: Any = (click.Context(click.Command("x")), click.Option(["--system"]), value)
     if system == 0.5:

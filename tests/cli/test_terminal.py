@@ -74,12 +74,9 @@ def test_what_is_neither_yes_nor_no_is_asked_again(
 
 @pytest.mark.parametrize(
     ("columns", "told"),
-    [
-        (40, "247.2 true ±23.0"),
-        (80, "247.2 true ±23.0  234.6 magnetic  65 s"),
-        (200, "247.2 true ±23.0  234.6 magnetic  65 s"),
-    ],
-)
+    [(40, "247.2 true ±23.0"), (80, "247.2 true ±23.0  234.6 magnetic  65 s"),
+     (200, "247.2 true ±23.0  234.6 magnetic  65 s")],
+)  # fmt: skip
 def test_a_dial_leaves_out_whole_what_has_no_room(
     columns: int, told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -11,10 +11,14 @@ import numpy as np
 import pytest
 from bent_vehicles import bent_vehicle, calibrated
 
+from mavcompass.calibration.result import CalibrationResult
 from mavcompass.cli.calibration.vehicle import say_outcome
 from mavcompass.cli.options import Output
+from mavcompass.correction import IDENTITY
+from mavcompass.earth_field import EarthField
+from mavcompass.errors import PoorCalibration
 from mavcompass.frames import wrap_pi
-from mavcompass.procedure.autopilot_heading import OwnHeading
+from mavcompass.procedure.autopilot_heading import OwnHeading, yaw_error_rad
 from mavcompass.procedure.motion import Permissions
 from mavcompass.procedure.positions.proof import CompassProof, Proof
 from mavcompass.procedure.report import AutopilotHeading
@@ -22,6 +26,7 @@ from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.report.document import live_document
 from mavcompass.simulation.ardupilot import ArduPilot
 from mavcompass.simulation.vehicle import SimulatedAutopilot
+from mavcompass.track import Track
 
 ARMS_ANYWAY = {"ARMING_CHECK": 0.0}
 # A second set of sources in earnest: which of them is in use nobody can tell from outside.
@@ -130,6 +135,12 @@ def test_a_compass_that_stood_turned_is_held_against_the_autopilot_as_it_is_moun
     assert abs(report.heading.error_before_deg) < 1.0 and abs(report.heading.error_after_deg) < 1.0
     say_outcome(Output(None), report)
     assert "COMPASS_ORIENT 4 -> 0" in capsys.readouterr().out
+
+
+def test_an_autopilot_that_tells_no_attitude_is_held_against_nothing() -> None:
+    result = CalibrationResult(1, "four-positions", True, (), np.zeros(3), IDENTITY)
+    with pytest.raises(PoorCalibration, match="did not tell its attitude"):
+        yaw_error_rad(Track(), result, EarthField((200.0, 0.0, 400.0)), 0.0, 1.0)
 
 
 def test_the_gyro_alone_proves_nothing_where_the_vehicle_ends_where_it_began() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from running_service import configured
+from running_service import configured, wait_for
 
 from mavcompass.messages import Incoming, Message
 from mavcompass.service.mavlink.component import finding_text
@@ -18,7 +18,7 @@ from mavcompass.vehicle.link import Link
 class Flooded(Link):
     """A link on which more comes than is read."""
 
-    behind = 0.0
+    behind = longest_s = 0.0
 
     def now(self) -> float:
         return 100.0
@@ -29,9 +29,18 @@ class Flooded(Link):
     def send(self, message: Message) -> None: ...
 
     def receive(self, timeout_s: float) -> Incoming | None:
+        self.longest_s = max(self.longest_s, timeout_s)
         return None
 
     def close(self) -> None: ...
+
+
+def test_where_nothing_comes_the_station_goes_on_all_the_same(tmp_path: Path) -> None:
+    link = Flooded("udpin:127.0.0.1:14550")
+    station = Station(configured(tmp_path, "udpin:127.0.0.1:14550"), History(tmp_path / "h.db"), lambda: link)
+    station.start()
+    wait_for(lambda: link.longest_s)
+    assert station.stop() and link.longest_s <= 1.0
 
 
 @pytest.mark.parametrize(("behind_s", "told"), [(0.0, False), (4.9, False), (5.1, True)])

@@ -35,15 +35,9 @@ def test_an_offset_bends_the_heading_by_its_share_of_the_horizontal_field() -> N
 
 @pytest.mark.parametrize(
     "effect",
-    [
-        "declination",
-        "height_anomaly",
-        "spatial_dipole",
-        "platform_tilt",
-        "attitude_reference_error",
-        "yaw_step_error",
-    ],
-)
+    ["declination", "height_anomaly", "spatial_dipole", "platform_tilt", "attitude_reference_error",
+     "yaw_step_error"],
+)  # fmt: skip
 def test_ground_that_leans_and_a_rock_in_it_are_no_errors_of_a_compass(effect: str) -> None:
     assert heading_error_rms_deg(vehicle(effect)) < 1e-6
 

@@ -63,11 +63,11 @@ def test_ardupilot_is_started_without_saving_watched_and_ended() -> None:
     assert all(dict(show.data)["tumble"] for show in shown)
 
 
-def found_by(told: MagCalReport) -> OwnFinding:
+def found_by(told: MagCalReport, *before: Reply) -> OwnFinding:
     with vehicle_script(
         Expect(CommandLong(command=START, param1=1.0)),
         accepted(START),
-        Reply(MagCalProgress(0, 1, ONE, 1, 20)),
+        *(before or [Reply(MagCalProgress(0, 1, ONE, 1, 20))]),
         Reply(told),
         Expect(CommandLong(command=CANCEL, param1=1.0)),
         accepted(CANCEL),
@@ -116,13 +116,19 @@ def test_a_vehicle_that_is_not_turned_is_given_up_after_two_minutes() -> None:
         vehicle_script(
             Expect(CommandLong(command=START, param1=1.0)),
             accepted(START),
-            *(Reply(MagCalProgress(0, 1, ONE, 1, 3), after_s=1.0) for _ in range(130)),
+            *(Reply(MagCalProgress(0, 1, ONE, 1, 3, SEEN), after_s=1.0) for _ in range(130)),
             Expect(CommandLong(command=CANCEL, param1=1.0)),
             accepted(CANCEL),
         ) as link,
         pytest.raises(PoorCalibration, match="stands at 3 % since 120 s"),
     ):
         run(Machine(of_ardupilot), link)
+
+
+def test_a_vehicle_of_which_ever_more_sides_are_seen_is_given_longer() -> None:
+    seen = [tuple(((1 << k // 2) - 1).to_bytes(10, "little")) for k in range(130)]
+    told = [Reply(MagCalProgress(0, 1, ONE, 1, 3, sides), after_s=1.0) for sides in seen]
+    assert found_by(report(), *told).correction is not None
 
 
 def said(*texts: str) -> list[Reply]:

@@ -49,6 +49,7 @@ def test_a_well_calibrated_vehicle_passes_with_a_turn() -> None:
     assert report.verdict == "pass", [i for i in report.items if i.verdict != "pass"]
     assert not report.calibration_advised
     assert report.summary().startswith("Fit to ")
+    assert [i.instance for i in report.items if i.name == "yaw"] == [1], "of the compass that steers it"
 
 
 def test_a_badly_calibrated_vehicle_fails_and_the_turn_shows_it() -> None:

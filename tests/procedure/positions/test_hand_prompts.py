@@ -62,6 +62,8 @@ def test_the_way_is_told_until_it_is_near() -> None:
     assert machine.done and machine.error is None
     assert person.texts == ["Turn right 90 deg more.", "Turn right 12 deg more.", "Here."]
     assert person.mover.visited_rad == [0.0]
+    person = Person(0.0, 90.0)  # and on round, not back to where it stands
+    assert not person.runs(person.next(), 1.0).done and person.texts == ["Turn right 90 deg more."]
 
 
 def test_rest_anywhere_new_is_a_position() -> None:

@@ -190,9 +190,15 @@ def test_a_broken_tcp_connection_is_opened_again() -> None:
             while not server.peers():
                 far.heard(0)
                 link.receive(0.02)
-            far.say(HEARTBEAT)
-            assert link.receive(2.0) is not None
+            asked_s = link.now()
+            threading.Timer(0.1, far.say, [HEARTBEAT]).start()
+            assert link.receive(20.0) is not None and link.now() - asked_s < 10.0  # as soon as it comes
             server.hang_up()
+        with closing(open_transport(Tcp("127.0.0.1", number))) as ours:
+            ours.hang_up()
+            assert not ours.peers()
+            ours.wait(1.0)
+            assert ours.peers()
 
 
 def test_a_usb_port_that_vanishes_and_comes_back_is_opened_again(tmp_path: Path) -> None:

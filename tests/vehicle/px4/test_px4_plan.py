@@ -183,3 +183,4 @@ def test_a_compass_inside_cannot_be_turned_and_rot_by_hand_is_judged() -> None:
     held = px4_parameters(CAL_MAG0_ROT=100.0, CAL_MAG0_YAW=5.0)
     assert "beside angles other than 0" in DIALECT.plan_values(held, {"CAL_MAG0_ROT": 4.0}).refusals[0]
     assert "no rotation that this PX4 knows" in DIALECT.plan_values(held, {"CAL_MAG0_ROT": 41.0}).refusals[0]
+    assert not DIALECT.plan_values(held, {"CAL_MAG0_ROT": -1.0}).refusals  # PX4's word for one inside

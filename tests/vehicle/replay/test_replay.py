@@ -37,6 +37,7 @@ from mavcompass.messages import (
     RawImu,
     ScaledImu,
     ScaledImu2,
+    ServoOutputRaw,
     SysStatus,
     message_id,
 )
@@ -103,6 +104,9 @@ def test_a_first_reading_is_not_waited_for_long(tmp_path: Path) -> None:
     with open_link(str(path)) as link:
         heard = [i for i in all_of(link) if isinstance(i.message, RawImu)]
     assert (heard[0].time_s, heard[-1].time_s) == pytest.approx((3.0, 5.9), abs=0.01)
+    with ReplayedLink(replayed_autopilot(path), "served, which may wait") as link:
+        served = [i for i in all_of(link) if isinstance(i.message, RawImu)]
+    assert served[0].time_s == pytest.approx(3.0 + LONGEST_PAUSE_S)
 
 
 def test_what_a_ground_station_asked_then_is_not_asked_again(tlog: Path) -> None:
@@ -294,6 +298,7 @@ def track_of(autopilot: str, **columns: object) -> Track:
         "attitude_rad": Series.of(time_s, np.stack([0 * yaw, 0 * yaw, yaw], axis=-1)),
         "place": Series.of(time_s[::10], np.tile([47.0, 8.5, 400.0], (20, 1))),
         "current_a": Series.of(time_s, np.full(len(time_s), 12.5)),
+        "motors": Series.of(time_s, np.tile([0.25, 0.5], (len(time_s), 1))),
         "vehicle": "copter",
     }
     return Track(autopilot=autopilot, **(everything | columns))  # type: ignore[arg-type]
@@ -330,6 +335,7 @@ def test_a_track_is_played_as_its_vehicle_would_speak(play_track: Callable[[Trac
     assert {(i.system, i.component) for i in heard} == {(1, 1)}
     assert kind_of(heard, Heartbeat)[0] == Heartbeat(MavType.QUADROTOR, 3, 1, 0, 3)
     assert {m.current_battery for m in kind_of(heard, SysStatus)} == {1250}
+    assert {(m.servo1_raw, m.servo2_raw) for m in kind_of(heard, ServoOutputRaw)} == {(1250, 1500)}
     assert kind_of(heard, GlobalPositionInt)[0].lat == 470_000_000
     assert kind_of(heard, GpsRawInt)[0].yaw == 0
     assert kind_of(heard, Attitude)[-1].yaw == pytest.approx(2.0, abs=0.05)
