@@ -33,6 +33,14 @@ _LARGEST: dict[str, float | tuple[float, ...]] = {
 # The autopilot's attitude rests on it: one that says nothing else is not one that was not recorded.
 _RESTED_ON = ("acc_mps2",)
 _INT16 = np.iinfo(np.int16)
+# Less is no field on Earth.
+_SILENT_MGAUSS = 20.0
+SILENT = "Compass {} reads only its offsets: the sensor itself is silent or not connected."
+
+
+def is_silent(raw_mgauss: FloatArray) -> bool:
+    """Tell whether readings (N, 3) without their corrections are none."""
+    return float(np.linalg.norm(np.median(raw_mgauss, axis=0))) < _SILENT_MGAUSS
 
 
 def incredible(quantity: str, values: FloatArray) -> NDArray[np.bool_]:

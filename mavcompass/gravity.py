@@ -42,10 +42,9 @@ def no_gravity(acc: Series | None) -> str:
     force_mps2 = float(np.median(np.linalg.norm(means, axis=1)))
     if is_gravity(force_mps2):
         return ""
-    return (
-        f"The accelerometer shows {force_mps2:.3g} m/s2 throughout, where gravity is"
-        f" {STANDARD_GRAVITY_MPS2:.1f}: nothing tells what is level."
-    )
+    shown = f"shows {force_mps2:.3g} m/s2 throughout" if force_mps2 else "was not recorded, or dead (0 m/s2)"
+    gravity = f"where gravity is {STANDARD_GRAVITY_MPS2:.1f}: nothing tells what is level."
+    return f"The accelerometer {shown}, {gravity}"
 
 
 def require_gravity(acc: Series | None, error: type[BadRecording | PoorCalibration] = BadRecording) -> None:

@@ -16,6 +16,7 @@ from mavcompass.calibration.methods.running import Learnt, learn
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import DEFAULT_LIMITS, CalibrationResult, Limits, OwnFinding, TrueHeading
 from mavcompass.compass_parameters import values
+from mavcompass.credible import SILENT, is_silent
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import BadRecording, MavCompassError, PoorCalibration
 from mavcompass.gravity import require_gravity
@@ -115,9 +116,8 @@ def calibrate_compasses(
         except BadRecording:
             if i in chosen:
                 raise
-    if refused := [refusals[i] for i in chosen if i in refusals]:
-        if len(refused) == len(chosen):
-            raise refused[0]
+    if chosen and all(i in refusals for i in chosen):
+        raise refusals[chosen[0]]
     case = Case(track, results, world, limits, solved, windows)
     judged: dict[int, CalibrationResult] = {}
     for i in chosen:
@@ -216,16 +216,12 @@ def _check_compass(track: Track, instance: int) -> None:
     require_gravity(track.acc_mps2, PoorCalibration)
     reported = np.asarray(compass.reported.values)
     finite = reported[np.isfinite(reported).all(axis=1)]
-    swing = (
-        np.percentile(finite, 99, axis=0) - np.percentile(finite, 1, axis=0) if len(finite) else np.zeros(3)
-    )
-    raw_size = float(np.linalg.norm(np.median(track.raw_field(instance), axis=0))) if len(finite) else 0.0
-    if float(swing.max()) < _DEAD_SWING_MGAUSS and raw_size < 20.0:
-        raise PoorCalibration(
-            f"Compass {instance} reads only its offsets: the sensor itself is silent or not connected.",
-            "Check the compass's wiring and power, then record again.",
-        )
-    if float(swing.max()) < _DEAD_SWING_MGAUSS:  # noise alone is nothing new
+    swing = np.ptp(np.percentile(finite, [1, 99], axis=0), axis=0) if len(finite) else np.zeros(3)
+    dead = float(swing.max()) < _DEAD_SWING_MGAUSS
+    if dead and (not len(finite) or is_silent(track.raw_field(instance))):
+        remedy = "Check the compass's wiring and power, then record again."
+        raise PoorCalibration(SILENT.format(instance), remedy)
+    if dead:  # noise alone is nothing new
         followed = np.linalg.norm(turned_vector(track, compass.time_s), axis=1)
     else:
         followed = turned_since_new(track, instance)

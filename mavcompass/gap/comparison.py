@@ -234,9 +234,8 @@ def _differences(forth: Diagnosis, back: Diagnosis) -> tuple[Difference, ...]:
     found = [Difference(cause, "simulator") for cause in _causes(forth)]
     known = forth.effects | {alias for e in forth.effects for alias in get(e).aliases}
     alone = not found
-    for cause in _causes(back):
-        if alone or (_amount(cause) and cause.effect not in known):
-            found.append(Difference(cause, "vehicle"))
+    more = (c for c in _causes(back) if alone or (_amount(c) and c.effect not in known))
+    found += [Difference(cause, "vehicle") for cause in more]
     return tuple(sorted(found, key=lambda d: -d.cause.removes_mgauss))
 
 

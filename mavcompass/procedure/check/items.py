@@ -116,14 +116,8 @@ def judge_offsets(instance: int, correction: FieldCorrection, calibrated: bool) 
     """Judge the offsets in force: none at all may be no calibration, and very large ones hide trouble."""
     size = math.hypot(*correction.offsets_mgauss)
     if not calibrated:
-        return CheckItem(
-            "offsets",
-            "fail",
-            f"Compass {instance} has never been calibrated.",
-            "Calibrate it.",
-            instance,
-            0.0,
-        )
+        text = f"Compass {instance} has never been calibrated."
+        return CheckItem("offsets", "fail", text, "Calibrate it.", instance, 0.0)
     largest = max(abs(value) for value in correction.offsets_mgauss)
     verdict: Verdict = (
         "fail" if size > _MOST_OFFSET_MGAUSS else "warn" if largest > _USUAL_OFFSET_MGAUSS else "pass"
@@ -257,7 +251,8 @@ def judge_stillness(still: bool, why_not: str) -> CheckItem | None:
     """Warn where the vehicle never stood still; None where it did."""
     if still:
         return None
-    text = f"The vehicle did not stand still ({UNREST.get(why_not, why_not)}): the figures below are rough."
+    why_not = UNREST.get(why_not, why_not) or "not for long enough"
+    text = f"The vehicle did not stand still ({why_not}): the figures below are rough."
     return CheckItem("stillness", "warn", text, "Put it down, let it come to rest and check again.")
 
 

@@ -17,6 +17,7 @@ from mavcompass import messages as mav
 from mavcompass.calibration.observation import Dwell, assemble, dwell_between
 from mavcompass.compass_parameters import is_calibrated, orientation_name
 from mavcompass.correction import FieldCorrection
+from mavcompass.credible import SILENT, is_silent
 from mavcompass.earth_field import EarthField
 from mavcompass.enums import MavCmd
 from mavcompass.errors import PoorCalibration, Refused
@@ -186,10 +187,13 @@ class _Checker:
         if (compass := track.compasses.get(instance)) is not None:
             n = len(compass.reported.between(window.start_s, window.end_s))
             rate_hz = (len(compass.reported) - 1) / max(float(np.ptp(compass.time_s)), 1e-3)
-            self._add(items.judge_too_few(instance, message, n, rate_hz))
+            why = items.judge_too_few(instance, message, n, rate_hz)
+            if is_silent(track.raw_field(instance)):
+                why = CheckItem("data", "fail", SILENT.format(instance), "Check its wiring.", instance)
+            self._add(why)
             return
         if kind is not None and any(self.granted.values()) and self.granted.get(kind) is False:
-            self.remarks.append(f"Compass {instance} was not judged: {message} is not told.")
+            self.remarks.append(f"Compass {instance} was not judged: no readings came ({message}).")
             return
         steers = self._steering() == instance or not track.compasses
         item = items.judge_silence(instance, message, self.desk.identity.autopilot, steers)
@@ -226,6 +230,8 @@ class _Checker:
         try:
             seen = dwell_between(track, instance, window.start_s, window.end_s)
         except PoorCalibration:
+            return None
+        if is_silent(seen.mean_mgauss[np.newaxis]):
             return None
         field_mgauss = self._in_force(instance).apply(seen.mean_mgauss)
         self.fields.setdefault(instance, []).append(field_mgauss)
@@ -319,10 +325,8 @@ class _Checker:
         self.items += items.judge_agreement(sources)
         for instance in [item.instance for item in self.items if item.name == "agreement"]:
             self._blame_mounting(instance)
-        remarks = tuple(dict.fromkeys(self.remarks))
-        return CheckReport(
-            self.desk.identity, tuple(self.items), self.turned, self.desk.duration_s(), remarks
-        )
+        remarks, took_s = tuple(dict.fromkeys(self.remarks)), self.desk.duration_s()
+        return CheckReport(self.desk.identity, tuple(self.items), self.turned, took_s, remarks)
 
     def _blame_mounting(self, instance: int) -> None:
         """Send who has a compass that stands turned against the others (0: one of two) to its mounting."""
@@ -351,14 +355,13 @@ class _Checker:
     def _source(self, reading: Reading) -> HeadingSource:
         """Return what one compass shows; what a question's limit allows counts as two sigmas."""
         found = {i.name: 2.0 * i.value / i.limit for i in self.items if i.instance == reading.instance}
-        nothing = math.nan
         return HeadingSource.at(
             f"compass {reading.instance}",
             math.degrees(reading.heading_rad),
             AGREEMENT_SIGMA_DEG,
-            gyro=found.get("turn", nothing),
-            dip=found.get("dip", nothing),
-            strength=found["field"] if self.world() is not None else nothing,
+            gyro=found.get("turn", math.nan),
+            dip=found.get("dip", math.nan),
+            strength=found["field"] if self.world() is not None else math.nan,
         )
 
     def _add(self, item: CheckItem | None) -> None:

@@ -190,7 +190,6 @@ def attitude_target(board: Board, message: SetAttitudeTarget) -> Target | None:
     if not mask & IgnoreAttitude.YAW_RATE:
         rate = message.body_yaw_rate
         return Target(now, rate_radps=rate, speed_mps=speed) if math.isfinite(rate) else None
-    if not mask & IgnoreAttitude.ATTITUDE:
-        if all(math.isfinite(v) for v in message.q):
-            return Target(now, heading_rad=yaw_of(message.q), speed_mps=speed)
+    if not mask & IgnoreAttitude.ATTITUDE and all(math.isfinite(v) for v in message.q):
+        return Target(now, heading_rad=yaw_of(message.q), speed_mps=speed)
     return None

@@ -72,7 +72,7 @@ class ReplayedLink(SimulatedLink):
         """Return the next message; see Link."""
         incoming = super().receive(timeout_s)
         if incoming is None and self._recorded.ended and not self.waiting:
-            raise LinkLost(f"The recording {self.name} has ended.", "Play it again, or another one.")
+            raise LinkLost(f"The recording {self.name} ended too soon.", "Give one with 30 s at rest.")
         return incoming
 
 

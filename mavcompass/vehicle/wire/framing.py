@@ -79,10 +79,8 @@ class FrameWriter:
         Raises ValueError for a message whose number is too large for version 1.
         """
         form, payload = encode(message)
-        if self.version == 1:
-            payload = payload[: form.base_length]
-        else:
-            payload = payload.rstrip(b"\0") or payload[:1]
+        trimmed = payload.rstrip(b"\0") or payload[:1]
+        payload = payload[: form.base_length] if self.version == 1 else trimmed
         return self._frame(self.version, payload, system, component, form.id, form.crc_extra)
 
     def forward(self, frame: Frame) -> bytes:

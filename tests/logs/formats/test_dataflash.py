@@ -192,7 +192,7 @@ def test_filling_at_the_end_of_a_flash_page_is_not_damage_of_the_last_record(tmp
 
 
 def test_logs_put_together_go_on_in_time_each_with_its_own_formats(tmp_path: Path) -> None:
-    first = Log(MAG, MSG).add("MSG", 0, "ArduRover V4.6.3").mags(10, 50_000_000)
+    first = Log(MAG, MSG).add("MSG", 0, "APM:Rover V3.1.0").mags(10, 50_000_000)
     other = (10, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
     second = Log(other, (11, "MAG", "QBhhh", "TimeUS,I,MagX,MagY,MagZ"))
     for n in range(10):
@@ -202,7 +202,7 @@ def test_logs_put_together_go_on_in_time_each_with_its_own_formats(tmp_path: Pat
     path.write_bytes(first.content + second.content)
     track = read_track(path)
     reported = track.compasses[1].reported
-    assert reported.values[:, 0].tolist() == [200.0] * 10 + [300.0] * 10
+    assert track.vehicle == "rover" and reported.values[:, 0].tolist() == [200.0] * 10 + [300.0] * 10
     assert bool((np.diff(reported.time_s) > 0.0).all())
     assert sum("2 logs" in note or "started 2 times" in note for note in track.notes) == 2
 

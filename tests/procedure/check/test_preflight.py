@@ -10,6 +10,8 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
+import pytest
 from click.testing import CliRunner
 
 from mavcompass import messages as mav
@@ -89,22 +91,23 @@ def test_a_copter_and_a_px4_vehicle_are_checked_too() -> None:
         assert verdicts(report, "dip") == ["pass"], kind
 
 
-def test_a_dead_accelerometer_is_what_fails_and_nobody_turns_for_it() -> None:
+@pytest.mark.parametrize(("dead", "found"), [("acc", ("level", "meter")), ("mag", ("data", "wiring"))])
+def test_a_dead_sensor_is_what_fails_and_nothing_is_judged_by_it(dead: str, found: tuple[str, str]) -> None:
     vehicle = SimulatedAutopilot("rover", seed=2, calibration="exact")
-    builders = vehicle.firmware.reports.builders
-    sound = builders[mav.RawImu]
+    builders, offsets = vehicle.firmware.reports.builders, vehicle.firmware.compasses.correction(1).apply
+    sound, at = builders[mav.RawImu], offsets(np.zeros(3)) if dead == "mag" else np.full(3, -32768)
 
     def at_its_end(time_us: int, share: float) -> mav.Message | None:
         told = sound(time_us, share)
         assert isinstance(told, mav.RawImu)
-        return replace(told, xacc=-32768, yacc=-32768, zacc=-32768)
+        return replace(told, **{f"{axis}{dead}": int(v) for axis, v in zip("xyz", at, strict=True)})
 
     builders[mav.RawImu] = at_its_end
     report = checked(vehicle)
-    wrong = [item for item in report.items if item.verdict == "fail"]
-    assert [item.name for item in wrong] == ["level"] and "accelerometer" in wrong[0].remedy
-    assert not report.turned and not report.calibration_advised
-    assert not [item for item in report.items if item.name in ("field", "dip", "agreement")]
+    (wrong,) = (item for item in report.items if item.verdict == "fail")
+    assert wrong.name == found[0] and found[1] in wrong.remedy
+    assert report.turned is (dead == "mag") and not report.calibration_advised
+    assert not [item for item in report.items if item.name in ("field", "dip") and item.instance == 1]
 
 
 def test_a_sensor_that_is_not_there_is_blamed_for_nothing() -> None:
@@ -133,10 +136,8 @@ def test_px4_is_asked_what_it_has_against_arming() -> None:
 
 def test_agreement_is_judged_across_north() -> None:
     for heading_deg, verdict in ((1.0, "pass"), (10.0, "warn"), (90.0, "fail")):
-        (item,) = items.judge_agreement(
-            {i: HeadingSource.at(f"compass {i}", d, 1.0) for i, d in ((1, 359.0), (2, heading_deg))}
-        )
-        assert item.verdict == verdict
+        at = {i: HeadingSource.at(f"compass {i}", d, 1.0) for i, d in ((1, 359.0), (2, heading_deg))}
+        assert [item.verdict for item in items.judge_agreement(at)] == [verdict]
 
 
 def test_the_compass_at_fault_is_named_with_two_sound_ones_beside_it() -> None:

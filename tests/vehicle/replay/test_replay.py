@@ -117,7 +117,7 @@ def test_what_a_ground_station_asked_then_is_not_asked_again(tlog: Path) -> None
 def test_the_end_is_a_lost_link(tlog: Path) -> None:
     with open_link(str(tlog)) as link:
         all_of(link)
-        with pytest.raises(LinkLost, match="has ended"):
+        with pytest.raises(LinkLost, match="ended too soon"):
             link.receive(1.0)
 
 

@@ -162,7 +162,7 @@ def _texts(logs: Sequence[Log]) -> tuple[str, ...]:
 def _vehicle(texts: Sequence[str], frame_class: float | None) -> str:
     for text in texts:
         for firmware, vehicle in _FIRMWARES:
-            if text.startswith((f"Ardu{firmware}", f"APM{firmware}")):
+            if text.startswith((f"Ardu{firmware}", f"APM{firmware}", f"APM:{firmware}")):
                 return "boat" if vehicle == "rover" and frame_class == _BOAT else vehicle
     return "unknown"
 
