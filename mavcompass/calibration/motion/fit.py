@@ -8,7 +8,7 @@ autopilot's yaw. How far off each section may be (`misfit`) is estimated with th
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from mavcompass.calibration.model import (
     GAIN,
     HEADINGS,
     HORIZONTAL,
+    LAG,
     MOTOR,
     OFFSET,
     VERTICAL,
@@ -208,5 +209,5 @@ def level_headings(sections: Sections, fit: MotionFit, load_shift: float = 0.0) 
 
 def residual_of(sections: Sections, fit: MotionFit) -> FloatArray:
     """Return what a fit leaves of other sections of the same recording, (K, 3), at their best headings."""
-    x = np.concatenate([fit.state[:HEADINGS], level_headings(sections, fit)])
-    return sections.field(x)[0]
+    late = replace(sections, mapping=sections.mapping + fit.state[LAG] * sections.by_lag)
+    return sections.field(np.concatenate([fit.state[:HEADINGS], level_headings(late, fit)]))[0]

@@ -27,6 +27,8 @@ from mavcompass.frames import FloatArray, circle_covered_rad, wrap_pi
 WORTH_IT_RAD = math.radians(0.5)
 # A stretch is taken for what is left of the iron's change where its error is smaller by this factor.
 _BETTER = 0.4
+# So many times what it leaves of itself a change leaves of what was before.
+_STANDS_OUT = 2.0
 _EVEN_CUTS = 8
 _JUMPS = 4
 # Between a change and the first reading that counts.
@@ -83,6 +85,9 @@ def last_stretch(motion: Motion) -> tuple[Motion, Change | None]:
         later = _anew(motion, candidate_s)
         if later is None or later.fit.error.mgauss >= _BETTER * best.fit.error.mgauss:
             continue
+        before = residual_of(motion.sections.between(-math.inf, candidate_s), later.fit)
+        if _size(before) < _STANDS_OUT * _size(later.fit.residual_mgauss):
+            continue
         best, start_s = later, candidate_s
         if best.fit.error_mgauss < worth_it:
             break
@@ -90,10 +95,13 @@ def last_stretch(motion: Motion) -> tuple[Motion, Change | None]:
 
 
 def _told(motion: Motion, later: Motion, start_s: float) -> tuple[Motion, Change]:
-    before = motion.sections.between(-math.inf, start_s)
-    moved = np.linalg.norm(residual_of(before, later.fit), axis=1) if len(before) else np.zeros(1)
-    change = Change(_dated(motion, later, float(np.median(moved))), float(np.median(moved)))
+    moved_mgauss = _size(residual_of(motion.sections.between(-math.inf, start_s), later.fit))
+    change = Change(_dated(motion, later, moved_mgauss), moved_mgauss)
     return replace(later, recorded=since(motion.recorded, start_s)), change
+
+
+def _size(residual_mgauss: FloatArray) -> float:
+    return float(np.median(np.linalg.norm(residual_mgauss, axis=1))) if len(residual_mgauss) else 0.0
 
 
 def _since_the_beginning_was_kept_out(motion: Motion) -> tuple[Motion, Change] | None:
@@ -111,7 +119,7 @@ def _since_the_beginning_was_kept_out(motion: Motion) -> tuple[Motion, Change] |
 def _anew(motion: Motion, start_s: float) -> Motion | None:
     """Fit a motion from some time on; None where too few sections or headings are left."""
     try:
-        later = motion.since(start_s)
+        later = motion.on(motion.sections.between(start_s, math.inf))
     except PoorCalibration:
         return None
     return later if circle_covered_rad(later.fit.headings_rad) >= LEAST_CIRCLE_RAD else None
@@ -145,8 +153,7 @@ def _jumps(motion: Motion) -> FloatArray:
     before = residual[:-3] + residual[1:-2]
     after = residual[2:-1] + residual[3:]
     size = np.linalg.norm(after - before, axis=1)
-    order = np.argsort(-size)[:_JUMPS]
-    return np.asarray(time[order + 2] + _SETTLE_S)
+    return np.asarray(time[np.argsort(-size)[:_JUMPS] + 2] + _SETTLE_S)
 
 
 # --- a disturbed stop -------------------------------------------------------------------------------

@@ -135,10 +135,6 @@ class Motion:
         apart = wrap_pi(headings[0] - headings[1])
         return float(np.std(wrap_pi(apart - np.angle(np.exp(1j * apart).mean())))) / math.sqrt(variance)
 
-    def since(self, start_s: float) -> Motion:
-        """Keep what lies after a time, fitted anew. Raises PoorCalibration where that is too little."""
-        return self.on(self.sections.between(start_s, math.inf))
-
     def on(self, sections: Sections) -> Motion:
         """Fit some of the sections anew. Raises PoorCalibration where these are too few."""
         return replace(self, sections=sections, fit=_fitted(self.recorded, sections, self.load_source))

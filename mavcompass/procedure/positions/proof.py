@@ -93,12 +93,11 @@ class Proof:
         parts = [f"{turned} deg; gyro {gyro} deg"]
         if not self.tells:
             parts.append("too small a turn to prove anything")
-        for compass in self.compasses:
-            if compass.change_deg > compass.change_allowed_deg:
-                parts.append(
-                    f"with this position the heading of compass {compass.instance} would be"
-                    f" {compass.change_deg:.1f} deg another"
-                )
+        parts += [
+            f"with this position the heading of compass {c.instance} would be {c.change_deg:.1f} deg another"
+            for c in self.compasses
+            if c.change_deg > c.change_allowed_deg
+        ]
         doubts = "".join(f" {doubt}" for compass in self.compasses for doubt in compass.doubts)
         verdict = "Checked by a turn" if self.passed else "The turn does not confirm the new values"
         return f"{verdict}: {'; '.join(parts)}.{doubts}"

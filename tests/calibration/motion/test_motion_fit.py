@@ -10,20 +10,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavcompass.calibration.model import (
-    HEADINGS,
-    MOTOR,
-    OFFSET,
-    gain_matrix,
-)
+from mavcompass.calibration.model import HEADINGS, LAG, MOTOR, OFFSET, gain_matrix
 from mavcompass.calibration.motion import fit, honesty
 from mavcompass.calibration.motion.fit import MotionFit, begin, fit_motion
+from mavcompass.calibration.motion.left_out import last_stretch
 from mavcompass.calibration.motion.misfit import ModelError, section_variance
+from mavcompass.calibration.motion.observed import Motion
 from mavcompass.calibration.motion.sections import Sections
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration
-from mavcompass.frames import FloatArray, wrap_pi
+from mavcompass.frames import FloatArray, euler_to_matrix, wrap_pi
 
 DEG = math.radians(1.0)
 EARTH = EarthField((200.0, 0.0, 450.0))
@@ -92,8 +89,23 @@ def test_exact_sections_give_the_iron_the_headings_and_no_model_error(found: Mot
     assert found.jacobian.shape == (4 * K - 1, HEADINGS + K) and found.whitened.shape == (4 * K - 1,)
     assert found.information @ found.covariance == pytest.approx(np.eye(HEADINGS + K), abs=1e-3)
     assert fit.residual_of(sections_of(), found) == pytest.approx(found.residual_mgauss, abs=0.05)
+    by_lag = np.tile(4.0 * np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), (K, 1, 1))
+    late = replace(found, state=np.where(np.arange(HEADINGS + K) == LAG, 0.04, found.state))
+    assert np.abs(fit.residual_of(sections_of(by_lag=by_lag), late)).max() < 4.0  # its heading is as late
     there = fit.level_headings(sections_of(), found)
     assert wrap_pi(there - found.headings_rad) == pytest.approx(np.zeros(K), abs=1e-4)
+
+
+def test_an_attitude_that_errs_is_no_iron_that_changed() -> None:
+    psi, rng = np.linspace(0.3, 0.3 + 4.0 * math.pi, 48, endpoint=False), np.random.default_rng(7)
+    tilt, error = rng.uniform(-1.0, 1.0, (2, 48)), rng.normal(0.0, 0.1, (2, 48))
+    leant, told = (np.array([euler_to_matrix(r, p, 0.0).T for r, p in a.T]) for a in (tilt, tilt + error))
+    level = np.stack([200.0 * np.cos(psi), -200.0 * np.sin(psi), np.full(48, 450.0)], axis=1)
+    mean = OFFSETS + np.einsum("kij,kj->ki", leant, level) @ gain_matrix(GAINS)
+    sections, known = sections_of(psi, mean_mgauss=mean, mapping=told), SimpleNamespace()
+    known.earth = known.prior = known.in_force = known.track = None
+    motion = Motion(known, None, None, sections, fit_motion(sections), "none")  # type: ignore[arg-type]
+    assert last_stretch(motion) == (motion, None)
 
 
 def test_fewer_than_four_sections_are_refused() -> None:

@@ -58,16 +58,8 @@ def motion(request: pytest.FixtureRequest) -> Motion:
 
 def test_sections(motion: Motion, as_stored: AsStored) -> None:
     s = motion.sections
-    names = (
-        "start_s",
-        "end_s",
-        "samples",
-        "tilt_sigma_rad",
-        "step_sigma_rad",
-        "turned_rad",
-        "load",
-        "repeats",
-    )
+    spans = ("start_s", "end_s", "samples", "load", "repeats")
+    names = (*spans, "tilt_sigma_rad", "step_sigma_rad", "turned_rad")
     as_stored(
         {
             **{name: getattr(s, name)[::2] for name in names},
@@ -75,13 +67,7 @@ def test_sections(motion: Motion, as_stored: AsStored) -> None:
             "mapping": s.mapping[::8],
             "by lag": s.by_lag[::16],
             "hidden": s.hidden_mgauss[::8],
-            "one": [
-                s.noise_mgauss,
-                s.tilt_bias_rad,
-                s.bias_sigma_radps,
-                s.scale_sigma,
-                s.load_mean,
-            ],
+            "one": [s.noise_mgauss, s.tilt_bias_rad, s.bias_sigma_radps, s.scale_sigma, s.load_mean],
             "rate": s.gyro_rate_hz,
             "source": motion.load_source,
         }
