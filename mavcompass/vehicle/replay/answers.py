@@ -106,6 +106,10 @@ def survey(path: Path) -> Contents:
     chosen = vehicles[max(autopilots, key=frames.__getitem__)]
     if chosen.system in heard.shared:
         raise BadRecording(*shared_id(chosen.system))
+    for other in vehicles.values():
+        # No component is without a heartbeat: MAVProxy logs so what it fetched from the vehicle as a file.
+        if other.system == chosen.system and message_id(Heartbeat) not in other.counts:
+            chosen.parameters |= other.parameters
     chosen.duration_s, chosen.stations = clock.time_s, stations
     return chosen
 

@@ -21,6 +21,7 @@ from recorded_frames import (
 from mavcompass.errors import BadRecording
 from mavcompass.logs import read_track, read_tracks
 from mavcompass.track import Track
+from mavcompass.vehicle.replay.answers import survey
 
 
 def offsets(
@@ -100,6 +101,26 @@ def test_the_vehicle_is_found_by_what_it_is_not_by_who_is_heard_first(tmp_path: 
     recording.fly(3.0, system=1, component=1, kind="copter")
     track = read_track(recording.write(tmp_path / "a.tlog"))
     assert (track.vehicle, len(track.compasses[1].reported)) == ("copter", 30)
+
+
+def test_what_a_station_fetched_as_a_file_is_the_vehicles_and_a_gimbals_is_not(
+    tmp_path: Path,
+) -> None:
+    """MAVProxy logs it under the vehicle's system and an address that has no heartbeat."""
+    recording = Recording().add(0.0, heartbeat("gimbal"), component=154)
+    for number, (axis, value) in enumerate(zip("XYZ", (5.0, 13.0, -18.0), strict=True)):
+        recording.add(0.1, parameter(f"COMPASS_OFS_{axis}", value, index=number), component=190)
+        recording.add(0.2, parameter(f"COMPASS_OFS_{axis}", 99.0, index=number), component=154)
+    recording.fly(5.0).add(5.0, parameter("COMPASS_OFS_X", 105.0)).fly(5.0, boot_s=25.0, log_s=5.0)
+    path = recording.write(tmp_path / "a.tlog")
+    compass = read_track(path).compasses[1]
+    assert compass.correction_known
+    assert [step.correction.offsets_mgauss[0] for step in compass.in_force] == [5.0, 105.0]
+    assert [survey(path).parameters[f"COMPASS_OFS_{axis}"].param_value for axis in "XYZ"] == [
+        5.0,
+        13.0,
+        -18.0,
+    ]
 
 
 def test_several_vehicles_in_one_file_are_told_apart(tmp_path: Path) -> None:

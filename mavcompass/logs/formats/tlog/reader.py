@@ -223,6 +223,7 @@ def read_tlog(path: Path) -> dict[int, Track]:
     read: dict[int, Track] = {}
     shared: list[int] = []
     for sender in vehicles:
+        _adopt_parameters(contents.senders, sender)
         # Taken out of the contents, so that each message is freed when it has become a column.
         messages = contents.senders.pop(sender)
         if in_turns(messages):
@@ -276,6 +277,22 @@ def _vehicles(senders: Mapping[Sender, Mapping[str, Messages]]) -> list[Sender]:
         if rival is None or _weight(senders[sender]) > _weight(senders[rival]):
             best[sender[0]] = sender
     return list(best.values())
+
+
+def _adopt_parameters(senders: Mapping[Sender, dict[str, Messages]], vehicle: Sender) -> None:
+    """Take what its system's addresses without a heartbeat tell for the autopilot's parameters, too.
+
+    No component is without one: MAVProxy logs so, as 190, what it fetched from the vehicle as a file.
+    """
+    name, told = "PARAM_VALUE", []
+    for sender, said in senders.items():
+        if name in said and (sender == vehicle or (sender[0] == vehicle[0] and "HEARTBEAT" not in said)):
+            told.append(said[name])
+    if told:
+        rows, order, stamps = (
+            np.concatenate([getattr(one, column) for one in told]) for column in Messages.__slots__
+        )
+        senders[vehicle][name] = Messages(rows.view(np.recarray), order, stamps).select(np.argsort(order))
 
 
 def _weight(messages: Mapping[str, Messages]) -> tuple[int, int]:
