@@ -7,8 +7,8 @@ the other compasses, the gyro, the GPS course, the battery's current.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -215,6 +215,7 @@ class _CompassRecord:
     current: _CurrentCoupling = field(default_factory=_CurrentCoupling)
     step: FieldStep = field(default_factory=FieldStep)
     latches: dict[str, _Latch] = field(default_factory=dict)
+    told: dict[str, Finding] = field(default_factory=dict)
 
     def beyond_level_deg(self, value_deg: float, steepness: float) -> float:
         """Take out of a value what the level may be off by, at two sigmas, `steepness` times."""
@@ -244,17 +245,17 @@ class CompassWatch:
         self._latest_s = glance.time_s
         if not 0.0 < step_s < 5.0:  # the first, or after a silence: nothing has passed in between
             return self.findings
-        findings: list[Finding] = []
         fresh = {i: h for i, h in glance.headings.items() if glance.time_s - h.time_s <= 1.0}
         if glance.world is not None:
             self._steep = math.tan(abs(glance.world.inclination_rad))
         for instance, heading in fresh.items():
-            record = self._records.setdefault(instance, _CompassRecord())
-            self._learn(record, heading, glance, step_s)
+            self._learn(self._records.setdefault(instance, _CompassRecord()), heading, glance, step_s)
         apart = self._at_fault(list(fresh))
-        for instance in fresh:
-            findings += self._judge(self._records[instance], instance, glance, apart.get(instance))
-        self.findings = tuple(findings)
+        self.findings = tuple(
+            finding
+            for i in fresh
+            for finding in self._judge(self._records[i], i, glance, *apart.get(i, (0.0, "")))
+        )
         return self.findings
 
     def _learn(self, record: _CompassRecord, heading: Heading, glance: Glance, step_s: float) -> None:
@@ -306,8 +307,8 @@ class CompassWatch:
         )
 
     def _judge(
-        self, record: _CompassRecord, instance: int, glance: Glance, apart: tuple[float, str] | None
-    ) -> list[Finding]:
+        self, record: _CompassRecord, instance: int, glance: Glance, apart_deg: float, why: str
+    ) -> Iterator[Finding]:
         horizontal = glance.headings[instance].horizontal_mgauss
         swing_deg = math.degrees(record.current.swing_mgauss() / max(horizontal, 1.0) / math.sqrt(2.0))
         course_deg = record.course.value if record.course.known else 0.0
@@ -316,21 +317,17 @@ class CompassWatch:
         measured = {
             "field": (record.strength.value, limits.field_percent),
             "dip": (beyond(record.dip.value, 1.0), limits.dip_deg),
-            "agreement": (0.0 if apart is None else apart[0], limits.agreement_deg),
+            "agreement": (apart_deg, limits.agreement_deg),
             "gyro": (beyond(record.gyro.rms_rad / _DEG, steep), limits.gyro_deg),
             "course": (beyond(course_deg, steep), limits.course_deg),
             "current": (beyond(swing_deg, steep), limits.current_deg),
             "step": (record.step.off_deg, limits.step_deg),
         }
-        findings = []
         for name, (value, limit) in measured.items():
-            latch = record.latches.setdefault(name, _Latch())
-            if latch.update(glance.time_s, abs(value), limit):
-                found = _finding(name, instance, value, limit)
-                if name == "agreement" and apart is not None:
-                    found = replace(found, text=apart[1])
-                findings.append(found)
-        return findings
+            if abs(value) >= limit * _CLEAR_BELOW:  # what is about to go stands as it was last told
+                record.told[name] = _finding(name, instance, value, limit, why)
+            if record.latches.setdefault(name, _Latch()).update(glance.time_s, abs(value), limit):
+                yield record.told[name]
 
 
 _WORDS: dict[str, tuple[str, str, str]] = {  # short, sentence, remedy
@@ -346,7 +343,7 @@ _WORDS: dict[str, tuple[str, str, str]] = {  # short, sentence, remedy
     ),
     "agreement": (
         "{value:+.0f} deg off the others",
-        "Compass {i} points {size:.0f} deg {side} of the others.",
+        "{why}",
         "Calibrate it; if it still differs, check the mounting orientation.",
     ),
     "gyro": (
@@ -374,15 +371,14 @@ _WORDS: dict[str, tuple[str, str, str]] = {  # short, sentence, remedy
 _METHODS = {"step": "touch-up"}
 _SIDES = {  # of a positive and of a negative value
     "field": ("stronger", "weaker"),
-    "agreement": ("right", "left"),
     "course": ("right", "left"),
 }
 
 
-def _finding(name: str, instance: int, value: float, limit: float) -> Finding:
+def _finding(name: str, instance: int, value: float, limit: float, why: str) -> Finding:
     side = _SIDES.get(name, ("", ""))[value < 0.0]
     filled_in = {"i": instance, "value": value, "size": abs(value), "side": side}
-    short, text, remedy = (words.format(**filled_in) for words in _WORDS[name])
+    short, text, remedy = (words.format(**filled_in, why=why) for words in _WORDS[name])
     severity: Severity = "bad" if abs(value) > _BAD_ABOVE * limit else "warning"
     short, method = f"Compass {instance}: {short}"[:50], _METHODS.get(name, "")
     return Finding(name, instance, severity, short, text, remedy, value, limit, method)
