@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 
+from mavcompass.attitude.level import BIAS_SIGMA_RADPS
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray
 from mavcompass.heading.fault_isolation import HeadingSource, isolate_faults
@@ -155,30 +156,33 @@ class _Covariance:
 class _GyroComparison:
     """Compare the heading's change with the gyro's, per angle turned.
 
-    What comes between them while nothing turns is the gyro's drift: it teaches nothing of the compass. What
-    goes with how late a reading is (0 to 0.25 s, by firmware and stream) is no iron either.
+    What comes between them while nothing turns is the gyro's drift: it teaches nothing of the compass. Nor
+    does what goes with the time, as far as a gyro's bias may at two sigmas, or with how late a reading is
+    (0 to 0.25 s, by firmware and stream).
     """
 
     _seen: _Covariance = field(default_factory=lambda: _Covariance(_TURN_RAD))
     _last: FloatArray | None = None
-    _sum: FloatArray = field(default_factory=lambda: np.zeros(4))
+    _sum: FloatArray = field(default_factory=lambda: np.zeros(5))
 
     def add(self, heading: Heading) -> None:
-        now = np.array([heading.newer_rad, heading.older_rad, heading.from_gyro_rad, heading.turned_rad])
-        steps = np.zeros(4) if self._last is None else now - self._last
-        self._last, turned = now, abs(float(steps[3]))
+        late, drift_rad = (heading.newer_rad, heading.older_rad), BIAS_SIGMA_RADPS * heading.boot_s
+        now = np.array([*late, heading.from_gyro_rad, drift_rad, heading.turned_rad])
+        steps = np.zeros(5) if self._last is None else now - self._last
+        self._last, turned = now, abs(float(steps[4]))
         if turned < 0.003:
             return
         self._sum += (steps + math.pi) % (2.0 * math.pi) - math.pi
-        self._seen.add(self._sum[:3], turned)
-
-    @property
-    def known(self) -> bool:
-        return self._seen.weight > 0.3
+        self._seen.add(self._sum[:4], turned)
 
     @property
     def rms_rad(self) -> float:
-        return math.sqrt(max(float(self._seen.beside(2, _NOT_LATE_RAD)[0, 0]), 0.0)) if self.known else 0.0
+        """Return by how much they differ; nan before a third of a turn."""
+        if self._seen.weight <= 0.3:
+            return math.nan
+        (off2, both), (_, drift2) = self._seen.beside(2, _NOT_LATE_RAD)
+        sigmas = min(max(both / max(drift2, _NOT_LATE_RAD**2), -2.0), 2.0)
+        return math.sqrt(max(float(off2 - (2.0 * both - sigmas * drift2) * sigmas), 0.0))
 
 
 @dataclass(slots=True)
@@ -301,7 +305,7 @@ class CompassWatch:
             # Two compasses are apart by five of these in one case of a hundred where both are sound, and half
             # the limit is what the latch below still counts as apart.
             0.1 * limits.agreement_deg,
-            gyro=2.0 * gyro_deg / limits.gyro_deg if record.gyro.known else unknown,
+            gyro=2.0 * gyro_deg / limits.gyro_deg,
             dip=2.0 * dip_deg / limits.dip_deg if record.dip.known else unknown,
             strength=2.0 * record.strength.value / limits.field_percent if record.strength.known else unknown,
         )

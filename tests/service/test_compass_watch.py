@@ -182,13 +182,17 @@ def test_what_a_gyro_drifts_by_on_long_straight_legs_is_not_blamed_on_the_compas
     assert said == set()
 
 
-def test_a_slow_gyro_drift_is_not_blamed_on_the_compass() -> None:
+@pytest.mark.parametrize(("iron_deg", "expected"), [(0.0, set()), (20.0, {"gyro1"})])
+@pytest.mark.parametrize(("rate_radps", "drift_deg"), [(0.3, 0.05), (0.1, 0.25), (0.2, -0.35)])
+def test_a_gyro_drift_is_not_blamed_on_the_compass_however_gently_it_turns(
+    rate_radps: float, drift_deg: float, iron_deg: float, expected: set[str]
+) -> None:
     def see(t: float) -> Glance:
-        turned = 0.3 * t
-        drifting = turned + 0.05 * DEG * t
-        return replace(glance(t, heading(t, turned, turned_rad=drifting)), rate_radps=0.3)
+        truly = 1.2 * math.sin(rate_radps * t)
+        bent = truly + iron_deg * DEG * math.cos(truly + 0.5)
+        return glance(t, heading(t, bent, turned_rad=truly + drift_deg * DEG * t))
 
-    assert found(see, 120.0) == set()
+    assert found(see, 240.0) == expected
 
 
 @pytest.mark.parametrize(
