@@ -153,12 +153,12 @@ def test_a_flood_does_not_fill_the_memory(monkeypatch: pytest.MonkeyPatch) -> No
     assert builder.take().compasses[1].reported.values[:, 0].tolist() == [51.0]
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.4, 3.0])
+@pytest.mark.parametrize("noise", [0.0, 0.15, 0.4, 3.0])
 @pytest.mark.parametrize("step", [1.0, 0.01])
 def test_what_a_sensor_cuts_off_piles_up_and_a_turns_own_end_does_not(noise: float, step: float) -> None:
     rng = np.random.default_rng(3)
     yaw = np.repeat(np.linspace(0.0, 4.0 * math.pi, 1500), 2)  # each reading told twice
-    field = np.stack([220.0 * np.cos(yaw) + 60.0, -220.0 * np.sin(yaw), 0.0 * yaw - 430.0], axis=1)
+    field = np.stack([220.0 * np.cos(yaw) + 60.0, -220.0 * np.sin(yaw), 0.0 * yaw - 430.2], axis=1)
     whole = np.repeat(np.round((field[::2] + rng.normal(0.0, noise, (1500, 3))) / step) * step, 2, axis=0)
     assert not saturated(whole).any()
     assert not saturated(whole[:200]).any() and not saturated(whole[:1]).any()
