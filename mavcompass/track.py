@@ -152,7 +152,8 @@ def saturated(values: FloatArray) -> NDArray[np.bool_]:
     """Mark readings (N, 3) at the end of what the sensor can show, on any axis, (N,).
 
     A field that turns shows its highest value 2.4 times as often as the next below, at most; what the sensor
-    cuts off piles up there. An axis that shows two steps alone does not turn. A repeated reading counts once.
+    cuts off piles up there. Less than half of a turn lies beyond a value on a side of its middle: where more
+    readings do, the axis rests. A repeated reading counts once.
     """
     values = np.round(values, 3)
     known, at_end = values[np.isfinite(values).all(axis=1)], np.zeros(len(values), dtype=bool)
@@ -166,7 +167,7 @@ def saturated(values: FloatArray) -> NDArray[np.bool_]:
     different = np.unique(known, axis=0)
     for axis, sign in itertools.product(range(3), (-1.0, 1.0)):
         shown, count = np.unique(sign * different[:, axis], return_counts=True)
-        if len(shown) < 3:
+        if 2 * count[-1] > count.sum():
             continue
         usual = _HIGHEST * count[-2]
         if count[-1] > usual + _CHANCE_SIGMAS * math.sqrt(count[-1] + _HIGHEST * usual):

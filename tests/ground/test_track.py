@@ -162,6 +162,8 @@ def test_what_a_sensor_cuts_off_piles_up_and_a_turns_own_end_does_not(noise: flo
     whole = np.repeat(np.round((field[::2] + rng.normal(0.0, noise, (1500, 3))) / step) * step, 2, axis=0)
     assert not saturated(whole).any()
     assert not saturated(whole[:200]).any() and not saturated(whole[:1]).any()
+    bumps = np.where(rng.random(3000) < 0.05, np.round(rng.uniform(0.0, 9.0, 3000)), 0.0)
+    assert not saturated(np.stack([whole[:, 0], whole[:, 1], bumps - 430.0], axis=1)).any()
     for end in (200.0, 260.0):
         cut = np.minimum(whole, [end, 1e3, 1e3])
         assert (saturated(cut) == (cut[:, 0] == end)).all()
