@@ -117,14 +117,15 @@ def test_a_rate_that_is_fast_enough_is_left_alone() -> None:
 
 
 def test_a_mode_is_changed_when_the_heartbeat_says_so_and_put_back() -> None:
-    def script(context: Context) -> Script[tuple[bool, bool]]:
+    def script(context: Context) -> Script[tuple[bool, int | None]]:
         state = VehicleState()
         context.listeners.append(state.hear)
         yield from find_vehicle(context)
         yield from pause(context, 0.2)
         modes = ModeKeeper(state, "ardupilot")
         changed = yield from modes.change(context, RoverMode.GUIDED)
-        return changed, (yield from modes.restore(context))
+        yield from modes.restore(context)
+        return changed, state.mode
 
     with vehicle_script(
         Reply(beat(RoverMode.HOLD)),
@@ -137,11 +138,11 @@ def test_a_mode_is_changed_when_the_heartbeat_says_so_and_put_back() -> None:
     ) as link:
         # The only heart that beats here is the script's.
         link.autopilot.beats = False  # type: ignore[attr-defined]
-        assert run(Machine(script), link) == (True, True)
+        assert run(Machine(script), link) == (True, RoverMode.HOLD)
 
 
 def test_a_mode_that_somebody_else_chose_is_not_taken_from_them() -> None:
-    def script(context: Context) -> Script[bool]:
+    def script(context: Context) -> Script[int | None]:
         state = VehicleState()
         context.listeners.append(state.hear)
         yield from find_vehicle(context)
@@ -150,7 +151,8 @@ def test_a_mode_that_somebody_else_chose_is_not_taken_from_them() -> None:
         yield from modes.change(context, RoverMode.GUIDED)
         yield from pause(context, 0.5)
         assert modes.is_foreign()
-        return (yield from modes.restore(context))
+        yield from modes.restore(context)
+        return state.mode
 
     with vehicle_script(
         Reply(beat(RoverMode.HOLD)),
@@ -160,4 +162,4 @@ def test_a_mode_that_somebody_else_chose_is_not_taken_from_them() -> None:
         Reply(beat(RoverMode.MANUAL), after_s=0.3),
     ) as link:
         link.autopilot.beats = False  # type: ignore[attr-defined]
-        assert run(Machine(script), link) is False
+        assert run(Machine(script), link) == RoverMode.MANUAL
