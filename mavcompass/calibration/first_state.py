@@ -15,7 +15,7 @@ from mavcompass.frames import FloatArray
 
 _STARTS, _CLOSELY = 12, 11
 # Of the horizontal field: by so much a reading may be off where nothing is fitted yet.
-ROUGHLY = 0.1
+_ROUGHLY = 0.1
 
 
 class FirstState(NamedTuple):
@@ -25,10 +25,15 @@ class FirstState(NamedTuple):
     rules: PriorRows
     left_mgauss2: float
 
-    def cost(self, error_mgauss: float) -> float:
-        """Return half the squared residuals, prior included, if readings may be off by so much."""
+    def cost(self, field_mgauss: float) -> float:
+        """Return half the squared residuals, prior included, if readings may be off by a tenth of a field."""
         held = self.rules.of(self.state)
-        return 0.5 * (self.left_mgauss2 / error_mgauss**2 + float(held @ held))
+        return 0.5 * (self.left_mgauss2 / (_ROUGHLY * field_mgauss) ** 2 + float(held @ held))
+
+
+def swing_mgauss(field_mgauss: FloatArray) -> float:
+    """Return half of how far a field (K, N) moves on the axis where it moves most."""
+    return 0.5 * float(np.ptp(np.percentile(field_mgauss, [5.0, 95.0], axis=0), axis=0).max())
 
 
 def rough_field(
@@ -38,8 +43,7 @@ def rough_field(
     if earth is not None:
         return earth.horizontal_mgauss, float(earth.ned_mgauss[2])
     field = in_force.apply(mean_mgauss)
-    swing = np.percentile(field[:, :2], 95, axis=0) - np.percentile(field[:, :2], 5, axis=0)
-    return max(0.5 * float(swing.max()), 1.0), float(np.median(field[:, 2]))
+    return max(swing_mgauss(field[:, :2]), 1.0), float(np.median(field[:, 2]))
 
 
 def first_state(
@@ -67,7 +71,7 @@ def first_state(
 
 def _likeliest(readings: Readings, x: FloatArray, headings_rad: FloatArray, rules: PriorRows) -> FirstState:
     """Solve for the linear part at several headings, (S, K), robustly; return the state of least cost."""
-    noise = ROUGHLY * x[HORIZONTAL]
+    noise = _ROUGHLY * x[HORIZONTAL]
     residual, by = readings.linear(x, headings_rad)
     trials = len(headings_rad)
     by, residual = by.reshape(trials, -1, LINEAR.size) / noise, residual.reshape(trials, -1) / noise

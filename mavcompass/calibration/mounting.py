@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mavcompass.calibration.first_state import ROUGHLY
+from mavcompass.calibration.first_state import swing_mgauss
 from mavcompass.calibration.model import HORIZONTAL, OFFSET, VERTICAL
 from mavcompass.calibration.motion.fit import MotionFit, begin
 from mavcompass.calibration.motion.observed import observe_motion
@@ -87,8 +87,8 @@ def likely_rotations(recorded: Recorded, reach: float) -> list[tuple[FloatArray,
     track, instance = recorded.track, recorded.instance
     motion = observe_motion(replace(recorded, track=turned_compass(track, instance, np.eye(3))))
     raw, in_force = motion.sections.mean_mgauss, sensor_to_body(track.autopilot, track.parameters, instance)
-    # A tenth of how far the field moves: a fit errs by less, so what lies far apart by it will lie farther.
-    error_mgauss = 0.5 * ROUGHLY * float(np.ptp(np.percentile(raw, [5.0, 95.0], axis=0), axis=0).max())
+    # A fit errs by less than a tenth of it, so that what lies far apart where fits begin will lie farther.
+    swing = swing_mgauss(raw)
 
     def turned(rotation: FloatArray) -> Sections:
         return replace(motion.sections, mean_mgauss=raw @ rotation.T)
@@ -96,7 +96,7 @@ def likely_rotations(recorded: Recorded, reach: float) -> list[tuple[FloatArray,
     def cost(rotation: FloatArray) -> float:
         known = (recorded.earth, recorded.prior, motion.load_source, recorded.in_force)
         first = begin(turned(rotation), *known)
-        return first.cost(error_mgauss) + 0.5 * float((first.state[OFFSET] ** 2).sum()) / _OFFSET_MGAUSS**2
+        return first.cost(swing) + 0.5 * float((first.state[OFFSET] ** 2).sum()) / _OFFSET_MGAUSS**2
 
     def tried(rotation: FloatArray) -> tuple[FloatArray, float, MotionFit]:
         fit = motion.on(turned(rotation)).fit

@@ -17,7 +17,7 @@ import math
 import random
 import statistics
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -28,8 +28,8 @@ from mavcompass.calibration.calibrate import calibrate_track
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.errors import MavCompassError
 from mavcompass.procedure.settings import CalibrateSettings
-from mavcompass.simulation.effects.effect import Setting
-from mavcompass.simulation.effects.registry import catalogue, spell
+from mavcompass.simulation.effects.effect import Distortion, Setting
+from mavcompass.simulation.effects.registry import catalogue
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.compasses import draw_compasses
 from mavcompass.simulation.physics.profiles import PROFILES
@@ -79,18 +79,20 @@ def bent_vehicle(kind: str, seed: int, share: float, effects: int = 0) -> Simula
     wrong = share * horizontal_mgauss
     bent = (x + wrong * math.cos(toward), y + wrong * math.sin(toward), z + 20.0)
     setups[0] = replace(setups[0], in_force=replace(iron, offsets_mgauss=bent))
-    drawn = [*drawn_effects(random.Random(f"effects {kind} {seed}"), effects)]
+    drawn = drawn_effects(random.Random(f"effects {kind} {seed}"), effects) if effects else ()
     return SimulatedAutopilot(kind, seed=seed, compasses=setups, effects=drawn)
 
 
-def drawn_effects(rng: random.Random, most: int) -> Iterator[str]:
+def drawn_effects(rng: random.Random, most: int) -> list[Distortion]:
     """Draw one effect of the catalogue to so many, at their typical size; what has either sign, by chance."""
-    for name in rng.sample(sorted(catalogue()), rng.randint(1, most)) if most else ():
+    settings = []
+    for name in rng.sample(sorted(catalogue()), rng.randint(1, most)):
         signed = {
             p.name: p.default * (rng.choice((-1.0, 1.0)) if p.low == -p.high and not p.integer else 1.0)
             for p in catalogue()[name].parameters
         }
-        yield spell(Setting.of(catalogue()[name], signed))
+        settings.append(Setting.of(catalogue()[name], signed))
+    return [Distortion(settings)]
 
 
 def run(seed: int, kind: str, share: float, quality: str, effects: int) -> Run:

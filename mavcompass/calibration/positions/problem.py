@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mavcompass.calibration.first_state import ROUGHLY, first_state, rough_field
+from mavcompass.calibration.first_state import first_state, rough_field
 from mavcompass.calibration.model import (
     GAIN,
     HEADINGS,
@@ -41,8 +41,8 @@ _ROBUST_FROM, _ROUNDS, _STEPS_A_ROUND = 6, 20, 2
 # What turning must show of a circle's centre and radius: less is hardly a turn; of two positions 29 degrees.
 _LEAST_SEEN = {2: 0.25, 3: 0.12}
 _DEAD_MGAUSS = 1.0
-# As it should, and of a compass that is upside down, the field turning against the gyro.
-_WAYS_ROUND = ((1.0, 1.0, 1.0), (1.0, -1.0, 1.0))
+# Of a compass that is upside down the field turns against the gyro.
+_UPSIDE_DOWN = (1.0, -1.0, 1.0)
 _MANY_SIGMAS_3D = 11.34  # chi-square of three, 99 %
 
 
@@ -95,11 +95,10 @@ class PositionProblem:
         given = data.first_heading[0] if data.first_heading is not None and earth is not None else None
         if given is None:
             _require_turning(mean, data.turned_rad)
-        first, round_ = (
-            first_state(replace(readings, mean_mgauss=mean * axes), rules, field, given)
-            for axes in _WAYS_ROUND
-        )
-        likelier = round_.cost(ROUGHLY * field[0]) < first.cost(ROUGHLY * field[0])
+        first, mirrored = first_state(readings, rules, field, given), False
+        if given is None and len(dwells) >= DEFAULT_PRIOR.fewest_positions:
+            upside_down = first_state(replace(readings, mean_mgauss=mean * _UPSIDE_DOWN), rules, field)
+            mirrored = upside_down.cost(field[0]) < first.cost(field[0])
         # How the readings lean with the vehicle goes by where they were taken.
         start = settle(readings, first.state, np.tile(np.eye(3), (len(dwells), 1, 1)), rules)
         noise = np.array([d.covariance_mgauss2 for d in dwells]) + _FLOOR_MGAUSS**2 * np.eye(3)
@@ -114,7 +113,7 @@ class PositionProblem:
             parts={"noise": noise, "quantisation": quantisation, "tilt": tilt},
             leaning=leaning * data.tilt_bias_sigma_rad,
             start=start,
-            mirrored=likelier and given is None and len(dwells) >= DEFAULT_PRIOR.fewest_positions,
+            mirrored=mirrored,
         )
 
     def roots(self, weights: FloatArray) -> FloatArray:
