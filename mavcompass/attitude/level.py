@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
+from mavcompass.attitude.standing import LOOK_S, Standing
 from mavcompass.attitude.vectors import Vector, bend2, changed2, cross, dot, middle, squared, turned_frame
 from mavcompass.gravity import is_gravity
 from mavcompass.kinds import HOVERING
@@ -65,8 +66,8 @@ _TURN_KNOWN = 0.1
 # sine of what its yaw is off by where a compass is bent.
 ESTIMATOR_SIGMA_RAD, _ESTIMATOR_MEMORY_S = math.radians(0.2), 10.0
 _ESTIMATOR_NOISE_RAD, _ESTIMATOR_LATE_S, _YAW_DOUBT = math.radians(0.05), 0.02, 0.35
-# What turns slower and pushes the same for so long is still, but for so much of an acceleration that stays.
-_STILL_RADPS, _STILL_S, _STILL_MPS2 = math.radians(1.5), 1.0, 0.01
+# What turns slower is still.
+_STILL_RADPS = math.radians(1.5)
 # The least noise of a reading, squared; below this share of its variance lies a fourth of what chance shows.
 _LEAST_FORCE2, _LEAST_RATE2, _FOURTH = 0.02**2, 0.001**2, 0.288
 # Gyros whose scales and axes are off by this much miss so much of a turn.
@@ -98,7 +99,7 @@ class Level:
     def restart(self) -> None:
         """Begin anew after a silence or a reboot: the direction of then says nothing of now."""
         self._time_s = self._speed_s = self._unbound_s = -math.inf
-        self._still_s, self._drives = 0.0, False
+        self._drives = False
         # Rows of the rotation from the body to the frame.
         self._x: Vector = (1.0, 0.0, 0.0)
         self._y: Vector = (0.0, 1.0, 0.0)
@@ -109,9 +110,9 @@ class Level:
         self._past: deque[tuple[float, Vector, float]] = deque(maxlen=_KEPT)
         self._bias: complex = 0.0
         self._v = self._c = self._e = 0.0 + 0.0j
-        self._pushed = self._slow = 0.0 + 0.0j
+        self._pushed = 0.0 + 0.0j
+        self._standing = Standing()
         self._force2, self._rate2 = 0.1**2, math.radians(0.3) ** 2
-        self._calm2 = 1.0
         self._g_mps2 = _G
         self._misfit = 1.0
         self._p = _uncorrelated(BIAS_SIGMA_RADPS**2)
@@ -194,8 +195,8 @@ class Level:
         turned = math.atan2(self._y[0], self._x[0]) - azimuth
         self.turned_rad += (turned + math.pi) % (2.0 * math.pi) - math.pi - self.bias_radps * step_s
         self._predict(step_s, acc, 0.5 * (before + after), changes)
-        if self._upheld and not travels:
-            self._look_still(step_s)
+        if self._upheld:
+            self._look_still(step_s, travels)
         if time_s - self._speed_s > _SPEED_KNOWN_S and time_s > self._unbound_s:
             self._unbound_s = time_s + _BOUND_EVERY_S
             self._correct(((_V, 1.0),), -self._v, self._bound_mps**2)
@@ -257,15 +258,13 @@ class Level:
         self._x, self.down = cross(self._y, down), down
         self.rate_radps = dot(self._gyro, down) - self.bias_radps
         self._v = self._c = self._e = 0.0 + 0.0j
-        self._pushed = self._slow = complex(dot(self._x, self._acc), dot(self._y, self._acc))
+        self._pushed = complex(dot(self._x, self._acc), dot(self._y, self._acc))
         self._p = _uncorrelated(self._p[_B_B], tau2, tau_e)
 
     def _predict(self, step_s: float, acc: Vector, ahead: complex, changes: Changes) -> None:
         push = complex(dot(self._x, acc), dot(self._y, acc))
         self._pushed += min(step_s / 0.1, 1.0) * (push - self._pushed)
-        self._slow += min(step_s / _STILL_S, 1.0) * (push - self._slow)
-        away = push - self._slow
-        self._calm2 += min(step_s / 0.3, 1.0) * (0.5 * (away.real**2 + away.imag**2) - self._calm2)
+        self._standing = self._standing.feeling(push, step_s)
         g = -dot(self.down, acc)
         # Its mean is gravity's, whatever moves: no climb goes on for ever.
         self._g_mps2 += min(step_s / LASTS_S, 1.0) * (g - self._g_mps2)
@@ -342,7 +341,7 @@ class Level:
         tau = t1 * off
         # What was felt so far leans with the frame.
         self._pushed += 1j * _G * tau
-        self._slow += 1j * _G * tau
+        self._standing = self._standing.leant(1j * _G * tau)
         x, y = self._x, self._y
         # R -> (1 + [phi]x) R, phi = (tau', tau'', 0): rows x += phi_y z, y -= phi_x z.
         p1, p2 = tau.real, tau.imag
@@ -352,18 +351,17 @@ class Level:
             (y[0] - p1 * d[0], y[1] - p1 * d[1], y[2] - p1 * d[2]),
         )
 
-    def _look_still(self, step_s: float) -> None:
-        """Where what is upheld is still, its specific force is gravity's."""
-        rate2, g = dot(self._gyro, self._gyro), -dot(self.down, self._acc)
-        turns = rate2 > _STILL_RADPS**2 + 9.0 * self._rate2
-        if turns or self._calm2 > 4.0 * self._force2 or g < 0.5 * _G:
-            self._still_s = 0.0
-            return
-        self._still_s += step_s
-        if self._still_s > _STILL_S:
-            self._still_s -= 0.5 * _STILL_S
-            r = (self._force2 * step_s / _STILL_S + _STILL_MPS2**2) / g**2
-            self._correct(((_TAU, 1.0),), 1j * self._slow / g, r)
+    def _look_still(self, step_s: float, travels: bool) -> None:
+        """Where what is upheld is still, its specific force is gravity's, but for a push that fades."""
+        g = -dot(self.down, self._acc)
+        turns = dot(self._gyro, self._gyro) > _STILL_RADPS**2 + 9.0 * self._rate2
+        if travels or turns or g < 0.5 * _G:
+            self._standing = Standing()
+        elif self._standing.felt_s >= LOOK_S:
+            felt, variance = self._standing.gravity(self._force2 * step_s / self._standing.felt_s)
+            self._standing = self._standing.looked()
+            if variance < math.inf:
+                self._correct(((_TAU, 1.0),), 1j * felt / g, variance / g**2)
 
     def _note_noise(self, acc: Vector, gyro: Vector) -> None:
         """Judge how noisy a reading is by third differences, which smooth motion hardly shows."""

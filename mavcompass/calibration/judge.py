@@ -211,7 +211,8 @@ def _as_mounted(
     With it come the reasons, if any, not to accept the compass so mounted either.
     """
     believed = [found.sources[i] for i in found.likeliest if i > 0 and found.sound[i] > RATHER_SOUND]
-    if not believed:
+    at_fault = 0 in found.blamed or not result.accepted
+    if not (believed and at_fault):
         return None
     recorded = Recorded(case.track, result.instance, case.earth, case.limits, windows=case.windows)
     # No other source can say more for a rotation than against another, at fault there and sound here.
@@ -231,7 +232,7 @@ def _as_mounted(
         np.linalg.det(best.rotation) < 0.0
         or share[alike].sum() < DOUBTED * share.sum()
         or best.found.sound[0] < RATHER_SOUND
-        or angle_between(best.rotation, np.eye(3)) < max(TURNED_RAD, unsure_rad)
+        or angle_between(best.rotation, np.eye(3)) < unsure_rad
     ):
         return None
     judged = _weighed(best.solved, best.evidence, best.found, case.limits)

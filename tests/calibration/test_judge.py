@@ -131,13 +131,19 @@ def test_one_alone_is_accepted_and_what_nothing_could_contradict_is_said() -> No
 def test_what_the_others_doubt_is_claimed(off_deg: float) -> None:
     """Off by ten of its sigmas from two that agree, it is off by that; from one, as likely as not."""
     turned = euler_to_matrix(0.0, 0.0, math.radians(off_deg))
-    three = calibrate_compasses(recorded(turned, None, None), earth=FIELD)
+    free = {**EXTERNAL, "CUST_ROT_ENABLE": 0.0}
+    three = calibrate_compasses(recorded(turned, None, None, parameters=free), earth=FIELD)
     assert three[1].heading_sigma_deg == pytest.approx(off_deg, rel=0.25)
     assert three[2].heading_sigma_deg < 0.4 > three[3].heading_sigma_deg
-    two = calibrate_compasses(recorded(turned, None), earth=FIELD)
+    two = calibrate_compasses(recorded(turned, None, parameters=free), earth=FIELD)
     for result in two.values():
         assert result.heading_sigma_deg == pytest.approx(off_deg / math.sqrt(2.0), rel=0.25)
     assert three[1].accepted is (off_deg < 2.0) and "disagreement" in three[1].heading_budget_deg
+    # Two that agree tell its angle, of a few degrees, too; of two nothing tells which is turned.
+    if not three[1].accepted:
+        assert three[1].mounting.mended is not None and three[1].mounting.mended.accepted
+        assert three[1].mounting.setting["CUST_ROT1_YAW"] == pytest.approx(-off_deg, abs=0.5)
+    assert all(result.mounting.mended is None for result in two.values())
 
 
 @pytest.mark.parametrize(("later_s", "steady"), [(0.0, True), (0.08, True), (0.5, False)])

@@ -8,7 +8,6 @@ from mavcompass.calibration.observation.dwells import Step as Step
 from mavcompass.calibration.observation.dwells import dwell_between as dwell_between
 from mavcompass.calibration.observation.dwells import latest_dwells as latest_dwells
 from mavcompass.calibration.observation.rolling import WHEELED as WHEELED
-from mavcompass.calibration.observation.rolling import rolls as rolls
 from mavcompass.calibration.observation.stillness import accelerometer_of as accelerometer_of
 from mavcompass.calibration.observation.stillness import assemble as assemble
 from mavcompass.calibration.observation.stillness import find_dwells as find_dwells

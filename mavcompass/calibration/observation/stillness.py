@@ -12,7 +12,6 @@ from bisect import insort
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcompass.attitude import levels, moving_average
 from mavcompass.calibration.observation.detector import (
@@ -28,7 +27,6 @@ from mavcompass.calibration.observation.dwells import (
     Step,
     dwell_between,
 )
-from mavcompass.calibration.observation.rolling import rolls
 from mavcompass.calibration.observation.tilt import UNSEEN_BIAS_RAD, accelerometer_sigma_rad
 from mavcompass.calibration.observation.turning import (
     GYRO_SCALE_SIGMA,
@@ -69,19 +67,16 @@ def find_dwells(
     compass = track.compasses[instance]
     record = turn or require_turn(track, instance)
     windows = [part for window in _still_windows(record) for part in _steady_current(track, window)]
-    rolling = rolls(track, record.time_s)
 
-    def standing(found: list[tuple[float, float]]) -> list[tuple[float, float]]:
-        # What drives leans its accelerometer, whether it turns or not.
-        parts = [part for window in found for part in _standing(record.time_s, rolling, window)]
+    def heard(found: list[tuple[float, float]]) -> list[tuple[float, float]]:
         return [
-            w for w in parts if not len(compass.time_s) or np.ptp(np.searchsorted(compass.time_s, w)) >= 4
+            w for w in found if not len(compass.time_s) or np.ptp(np.searchsorted(compass.time_s, w)) >= 4
         ]
 
-    windows = standing(windows)
+    windows = heard(windows)
     middles = record.angle_at(np.array([0.5 * (a + b) for a, b in windows]))
     if cut and (not windows or circle_covered_rad(middles) < math.radians(150.0)):
-        parts = standing(_cut_from_turn(record, compass.time_s))
+        parts = heard(_cut_from_turn(record, compass.time_s))
         windows = parts if len(parts) >= 3 else windows
     windows = sorted(sorted(windows, key=lambda w: w[0] - w[1])[:_MOST_DWELLS])
     return [dwell_between(track, instance, start, end, record) for start, end in windows]
@@ -107,18 +102,6 @@ def _still_windows(record: TurnRecord) -> list[tuple[float, float]]:
                 windows.append((begins, ends))
             start = stop
     return windows
-
-
-def _standing(
-    time: FloatArray, rolling: NDArray[np.bool_], window: tuple[float, float]
-) -> list[tuple[float, float]]:
-    """Cut out of a stretch where the vehicle rolls, which is known at some times, (N,)."""
-    rows = slice(*np.searchsorted(time, window))
-    if not rolling[rows].any():
-        return [window]
-    at = time[rows]
-    parts = [(float(at[a]), float(at[b - 1])) for a, b in stretches(~rolling[rows])]
-    return [(a, b) for a, b in parts if b - a >= _SHORTEST_DWELL_S]
 
 
 def _steady_current(track: Track, window: tuple[float, float]) -> list[tuple[float, float]]:

@@ -48,7 +48,7 @@ def tilt_during(
     downs = level.at(time_s)
     down = downs.mean(axis=0)
     x, y, z = down
-    sigma = float(np.sqrt((level.sigma_rad.at(time_s) ** 2).mean()))
+    sigma = float(level.sigma_rad.at(time_s).mean())
     # The mean of a swing is that of other moments where the times are off.
     moved = float(np.linalg.norm(downs[-1] - downs[0])) * lag_sigma_s / max(end - start, 1e-3)
     sigma = math.hypot(sigma, TILT_FLOOR_RAD, moved)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mavcompass.calibration.observation import Dwell, dwell_between, rolls, turn_record
+from mavcompass.calibration.observation import Dwell, dwell_between, turn_record
 from mavcompass.calibration.observation.turning import GYRO_SCALE_SIGMA, TurnRecord
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import BadRecording, PoorCalibration, UsageError
@@ -137,11 +137,6 @@ def _calm(track: Track, record: TurnRecord, length_s: float, times: FloatArray) 
     moved = np.concatenate([[0.0], np.cumsum(0.5 * (rates[1:] + rates[:-1]) * np.diff(record.time_s))])
     around = [middles - 0.5 * length_s, middles + 0.5 * length_s]
     unrest = np.diff(np.interp(around, record.time_s, moved), axis=0)[0] / length_s
-    rolled = np.concatenate([[0], np.cumsum(rolls(track, record.time_s))])
-    # A calibration waits until the wheels have stopped.
-    unrest[np.diff(rolled[np.searchsorted(record.time_s, around)], axis=0)[0] > 0] += (
-        usual.stance.rolling_radps
-    )
     if track.vehicle == "copter" and track.throttle is not None and len(track.throttle):
         flying = np.nan_to_num(track.throttle.at(middles)) > usual.stance.motors_on
         if flying.any():

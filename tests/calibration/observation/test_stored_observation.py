@@ -13,7 +13,6 @@ from mavcompass.attitude import levels
 from mavcompass.calibration.observation import (
     StillnessDetector,
     find_dwells,
-    rolls,
     turn_record,
     turns_between,
 )
@@ -72,7 +71,6 @@ def test_down(track: Track, as_stored: AsStored) -> None:
         {
             "down": level.down.values[::70],
             "sigma": level.sigma_rad.values[::70],
-            "rolls": np.flatnonzero(rolls(track, track.compasses[1].time_s)),
         }
     )
 
