@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from mavcompass import messages as mav
-from mavcompass.calibration.observation import Dwell, assemble, dwell_between
+from mavcompass.attitude import levels
+from mavcompass.calibration.observation import assemble, dwell_between
 from mavcompass.compass_parameters import is_calibrated, orientation_name
 from mavcompass.correction import FieldCorrection
 from mavcompass.credible import SILENT, is_silent
@@ -233,12 +234,15 @@ class _Checker:
             return None
         if is_silent(seen.mean_mgauss[np.newaxis]):
             return None
-        field_mgauss = self._in_force(instance).apply(seen.mean_mgauss)
-        self.fields.setdefault(instance, []).append(field_mgauss)
-        down = _down(seen)
-        vertical = float(field_mgauss @ down)
-        horizontal = math.sqrt(max(float(field_mgauss @ field_mgauss) - vertical**2, 0.0))
-        return Reading(instance, horizontal, vertical, seen.heading_rad(self._in_force(instance)))
+        in_force, shown = self._in_force(instance), track.between(window.start_s, window.end_s)
+        self.fields.setdefault(instance, []).append(in_force.apply(seen.mean_mgauss))
+        # Of each reading: the mean of what tumbles is shorter than any.
+        fields = in_force.apply(shown.raw_field(instance))
+        down = levels(track).at(shown.compasses[instance].time_s - track.field_lag_s)
+        total = float(np.nanmean(np.linalg.norm(fields, axis=1)))
+        vertical = float(np.nanmean((fields * down).sum(axis=1)))
+        horizontal = math.sqrt(max(total**2 - vertical**2, 0.0))
+        return Reading(instance, horizontal, vertical, seen.heading_rad(in_force))
 
     def _in_force(self, instance: int) -> FieldCorrection:
         return self.desk.dialect.correction(self.desk.parameters, instance)
@@ -367,9 +371,3 @@ class _Checker:
     def _add(self, item: CheckItem | None) -> None:
         if item is not None:
             self.items.append(item)
-
-
-def _down(seen: Dwell) -> Any:
-    """Return which way was down, (3,), in body axes."""
-    roll, pitch = seen.roll_rad, seen.pitch_rad
-    return np.array([-math.sin(pitch), math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll)])

@@ -13,7 +13,7 @@ from mavcompass.procedure.turning import strategies_for
 from mavcompass.procedure.vehicle_state import VehicleIdentity
 
 SCHEMA = "mavcompass.check/1"
-_GOES: dict[str, str] = {**dict.fromkeys(HOVERING, "fly"), "plane": "fly", "sub": "dive", "boat": "sail"}
+_GOES = {**dict.fromkeys((*HOVERING, "plane"), "fly"), "sub": "dive", "boat": "sail", "unknown": "set out"}
 
 
 def _is_calibration(item: CheckItem) -> bool:

@@ -70,11 +70,13 @@ def test_a_disarmed_vehicle_is_checked_without_a_turn() -> None:
     assert "disarmed" in next(i.text for i in asked_for.items if i.name == "turn")
 
 
-def test_what_turns_all_along_shows_no_drift_of_its_gyro() -> None:
+@pytest.mark.parametrize("roll", [0.0, 0.7])
+def test_what_turns_all_along_shows_no_drift_of_its_gyro_and_the_field_of_any_moment(roll: float) -> None:
     vehicle = SimulatedAutopilot("rover", seed=2, calibration="exact")
-    vehicle.turn_by_hand([HandMove(math.radians(90.0), 1.0, 0.0)] * 60)
+    vehicle.turn_by_hand([HandMove(math.radians(90.0), 1.0, 0.0, sign * roll) for sign in (1.0, -1.0)] * 30)
     report = checked(vehicle, "none")
     assert verdicts(report, "stillness") == ["warn"] and verdicts(report, "gyro") == []
+    assert verdicts(report, "field") == ["pass"]
 
 
 def test_the_check_changes_nothing_on_the_vehicle() -> None:
