@@ -110,7 +110,8 @@ class LiveCompass:
         self._before: Vector | None = None
         self._new_s = 0.0  # the vehicle's time when the reading was new
         self._doubt, self._looked_s = CalibrationDoubt(0.0, self.world), -math.inf
-        self._iron = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+        self._by_sector: list[float] = []
+        self._scatter2 = 0.0
         self.fixes = NorthLearner()
         self.set_north(())
 
@@ -177,16 +178,13 @@ class LiveCompass:
         if time_s - self._looked_s >= _LOOK_S:
             usual = horizontal if self.world is None else self.world.horizontal_mgauss
             self._doubt.sigma_mgauss, self._looked_s = self.calibration_sigma_rad * usual, time_s
-            iron, covariance, strength = self._doubt.iron()
-            (x, y), ((xx, xy), (_, yy)) = iron.tolist(), covariance.tolist()
-            self._iron = (x, y, xx, xy, yy, strength, self._doubt.scatter_mgauss**2)
-        x, y, xx, xy, yy, strength, scatter2 = self._iron
-        u, v = field[0] / horizontal, field[1] / horizontal
-        across2 = (u * y - v * x) ** 2 + v * v * xx - 2.0 * u * v * xy + u * u * yy
-        noise = scatter2 + _QUANTUM_SIGMA_MGAUSS**2
+            self._by_sector = self._doubt.by_direction(horizontal)
+            self._scatter2 = self._doubt.scatter_mgauss**2 + _QUANTUM_SIGMA_MGAUSS**2
+        toward = math.atan2(field[1], field[0]) / _TWO_PI
+        calibration = self._by_sector[int(toward * len(self._by_sector))]
         tilt = field[2] / horizontal * math.hypot(tilt, TILT_SIGMA_RAD)
-        variance = across2 / strength**2 + noise / (horizontal * horizontal) + tilt * tilt + late * late
-        return min(math.sqrt(variance), math.pi)
+        noise2 = self._scatter2 / (horizontal * horizontal)
+        return min(math.sqrt(calibration * calibration + noise2 + tilt * tilt + late * late), math.pi)
 
 
 def _levelled(m: Vector, down: Vector, turned_rad: float) -> tuple[Vector, float, float]:

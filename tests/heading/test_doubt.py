@@ -45,13 +45,28 @@ def test_a_whole_turn_tells_the_iron_whether_the_place_is_known_or_not() -> None
     for world in (WORLD, None):
         doubt = CalibrationDoubt(100.0, world)
         doubt.add_all(seen)
-        assert doubt.iron()[0] == pytest.approx(iron[:2], abs=3.0)
+        places, share = doubt.iron()
+        assert abs(share @ places - complex(*iron[:2])) < 3.0
         sigma = doubt.sigma_rad(seen[:, 0], seen[:, 1])
         rms = math.sqrt(float((error_rad(seen, psi) ** 2).mean()))
         assert math.sqrt(float((sigma**2).mean())) == pytest.approx(rms, rel=0.1)
     clean = CalibrationDoubt(100.0)
     clean.add_all(field(psi, np.zeros(3)))
     assert clean.sigma_rad(np.array([200.0]), np.array([0.0]))[0] < math.radians(1.0)
+
+
+@pytest.mark.parametrize("place", [WORLD, None])
+@pytest.mark.parametrize("iron", [(400.0, 0.0, 0.0), (0.0, -700.0, 50.0), (150.0, 150.0, 0.0)])
+def test_iron_that_is_stronger_than_the_field_leaves_no_heading(
+    iron: tuple[float, float, float], place: EarthField | None
+) -> None:
+    """A whole turn then goes by the iron, not around the middle: it points one way, or nearly."""
+    psi = np.linspace(0.0, 2.0 * math.pi, 300)
+    seen, doubt = field(psi, np.array(iron)), CalibrationDoubt(20.0, place)
+    doubt.add_all(seen)
+    sigma = doubt.sigma_rad(seen[:, 0], seen[:, 1])
+    rms = [math.sqrt(float((one**2).mean())) for one in (error_rad(seen, psi), sigma)]
+    assert rms[1] == pytest.approx(rms[0], rel=0.35) and rms[1] > math.radians(40.0)
 
 
 def test_one_heading_leaves_what_turns_it() -> None:
