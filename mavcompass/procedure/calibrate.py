@@ -370,10 +370,12 @@ class _Calibration:
                 yield from mover.next(context, angle_rad, 1)
                 window = yield from self.desk.dwell(mover, enough, self.sureness_deg)
                 yield from mover.release(context)
-                with_it = self.solve([*report.windows, window])
+                track, duration_s = self.desk.builder.build(), self.desk.duration_s()
                 # What the autopilot found does not depend on a further position.
-                again = report.results if settings.by_autopilot else with_it.results
-                proof = prove(with_it.track, last, window, report.results, again, not settings.stands)
+                again = report.results
+                if not settings.by_autopilot:
+                    again = self.solve([*report.windows, window]).results
+                proof = prove(track, last, window, report.results, again, not settings.stands)
                 if proof.tells:
                     break
                 turned_rad = math.radians(proof.compasses[0].gyro_turned_deg)
@@ -387,8 +389,8 @@ class _Calibration:
             report,
             proof=proof,
             on_vehicle_s=window.end_s - report.windows[0].start_s,
-            track=with_it.track,
-            duration_s=with_it.duration_s,
+            track=track,
+            duration_s=duration_s,
         )
         if proof.passed:
             context.show("prove", proof.summary(), _PROVEN)
