@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 import mavcompass
-from mavcompass.frames import euler_to_matrix
+from mavcompass.calibration.result import Mounting
+from mavcompass.frames import FloatArray, euler_to_matrix
+from mavcompass.track import Series
 
 HERE = Path(__file__).parents[2] / "scripts" / "benchmarks"
 sys.path.append(str(HERE))
@@ -98,7 +100,7 @@ def test_a_hand_that_jerks_is_no_change_of_iron(index: int) -> None:
     case = case_of("hand", index)
     result = mavcompass.calibrate(ours.track_of(case))
     assert not any("counts" in words for words in result.warnings)
-    assert judged(case, ours.solve(case))["rms"] < 0.5
+    assert judged(case, ours.solution(result))["rms"] < 0.5
 
 
 @pytest.mark.parametrize("index", [0, 1, 19])
@@ -110,11 +112,21 @@ def test_iron_that_changed_in_a_hand_is_noticed(index: int) -> None:
 
 
 @pytest.mark.parametrize("index", [3, 8, 20, 70])
-def test_a_right_angle_is_told_beside_a_course_and_no_other(index: int) -> None:
-    """Upside down or not. With an axis the wrong way round, or between two numbers, no number is right."""
+def test_a_right_angle_is_told_beside_a_course(index: int) -> None:
     case = case_of("mounted", index)
     assert judged(case, ours.solve(case))["rms"] < 1.0
-    mirrored = ours.track_of(replace(case, mag=case.mag * (1.0, -1.0, 1.0)))
-    assert mavcompass.calibrate(mirrored).mounting.turned is None
-    between = replace(case, mag=case.mag @ euler_to_matrix(0.0, 0.0, np.radians(17.0)).T)
-    assert mavcompass.calibrate(ours.track_of(between)).mounting.mended is None
+
+
+@pytest.mark.parametrize("index", [8, 20])
+def test_of_an_axis_the_wrong_way_round_and_of_an_angle_between_two_numbers_none_is_told(index: int) -> None:
+    """Upside down or not: one more right angle makes no other class of either."""
+    case = case_of("mounted", index)
+    track = ours.track_of(case)
+    ((number, compass),) = track.compasses.items()
+
+    def reading(mag: FloatArray) -> Mounting:
+        other = replace(compass, reported=Series.of(case.mag_time, mag))
+        return mavcompass.calibrate(replace(track, compasses={number: other})).mounting
+
+    assert reading(case.mag * (1.0, -1.0, 1.0)).turned is None
+    assert reading(case.mag @ euler_to_matrix(0.0, 0.0, np.radians(17.0)).T).mended is None

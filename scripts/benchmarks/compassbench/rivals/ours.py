@@ -7,6 +7,7 @@ import numpy as np
 import mavcompass
 from compassbench.cases import UTC_S, Case
 from compassbench.rivals import Headings, Named, Refusal, Solution
+from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
 from mavcompass.track import MagSeries, Series, Track
 
@@ -50,8 +51,12 @@ def solve(case: Case, argument: str = "") -> Solution | Headings | Named:
 
 
 def calibrate(case: Case) -> Solution:
-    """Calibrate; where a turned mounting is told together with the correction that mends it, take that."""
-    result = mavcompass.calibrate(track_of(case))
+    """Calibrate."""
+    return solution(mavcompass.calibrate(track_of(case)))
+
+
+def solution(result: CalibrationResult) -> Solution:
+    """Take a result; where a turned mounting is told with the correction that mends it, take that."""
     turned = np.eye(3)
     if result.mounting.mended is not None and result.mounting.turned is not None:
         turned, result = np.asarray(result.mounting.turned), result.mounting.mended
