@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -35,6 +36,7 @@ def _velocity(way: Way, time: FloatArray) -> tuple[FloatArray, FloatArray]:
     return speed[inside], np.cumsum(rate[inside]) * _INTERVAL_S
 
 
+@cache
 def driven(
     way: Way, seed: int = 0, seconds: float = 90.0, vehicle: str = "rover", bent_deg: float = 0.0
 ) -> tuple[Track, FloatArray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -23,10 +24,16 @@ from mavcompass.track import InForce, Series, Track
 EXTERNAL = {"COMPASS_EXTERNAL": 1.0, "COMPASS_EXTERN2": 1.0, "COMPASS_EXTERN3": 1.0, "COMPASS_ORIENT": 0.0}
 
 
+@cache
+def full_turns() -> tuple[Track, ...]:
+    """Record a full turn with each of three irons: one motion, whose roll and pitch are told once."""
+    irons = (Iron((80.0, -50.0, 30.0)), Iron((30.0, 55.0, -20.0)), Iron((-40.0, 10.0, 15.0)))
+    return tuple(turning_track(iron, turns_deg=(90.0,) * 4, seed=k) for k, iron in enumerate(irons))
+
+
 def recorded(*turned: FloatArray | None, parameters: dict[str, float] | None = None) -> Track:
     """Record a full turn of compasses that are mounted as set (None) or turned by a rotation (3, 3)."""
-    irons = (Iron((80.0, -50.0, 30.0)), Iron((30.0, 55.0, -20.0)), Iron((-40.0, 10.0, 15.0)))
-    tracks = [turning_track(iron, turns_deg=(90.0,) * 4, seed=k) for k, iron in enumerate(irons)]
+    tracks = full_turns()
     compasses = {
         k + 1: replace(tracks[k].compasses[1], instance=k + 1, quantum_mgauss=0.0, truncated=False)
         for k in range(len(turned))
@@ -64,7 +71,8 @@ def pair() -> CalibrationResult:
 
 @pytest.mark.parametrize(
     ("autopilot", "number"),
-    [*(("ardupilot", n) for n in (1, 3, 6, 12, 20, 26)), *(("px4", n) for n in (2, 4, 8, 16, 24, 31))],
+    # Upright, upside down and on each side, by right angles and by half ones: one of each for each autopilot.
+    [*(("ardupilot", n) for n in (1, 12, 20, 26)), *(("px4", n) for n in (2, 8, 16, 31))],
 )
 def test_any_mounting_is_told_and_calibrated_as_it_is(
     number: int, autopilot: str, sound: CalibrationResult
@@ -96,7 +104,7 @@ def test_a_free_angle_is_told_to_half_a_degree() -> None:
     assert mended.accepted and mended.parameters["CAL_MAG0_YAW"] == pytest.approx(33.0, abs=0.5)
 
 
-@pytest.mark.parametrize("number", [8, 12, 16, 24])
+@pytest.mark.parametrize("number", [12, 16])
 def test_of_two_the_one_whose_gains_are_no_compass_s_is_turned(number: int) -> None:
     """Upside down or on its side a compass shows by itself that it is, and one more tells how."""
     found = calibrate_compasses(recorded(sensor_orientation_matrix(number).T, None), earth=FIELD)
