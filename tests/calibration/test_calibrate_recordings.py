@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from mavcompass.attitude import down_in_body
 from mavcompass.calibration import Limits, calibrate_compasses, calibrate_track, find_dwells, method_names
 from mavcompass.calibration.model import GAIN, HORIZONTAL, OFFSET, gain_matrix
 from mavcompass.calibration.observation import turn_record
+from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import BadRecording, PoorCalibration, UsageError
 from mavcompass.frames import level_to_body, matrix_to_euler, quaternion_to_matrix, wrap_pi
@@ -29,6 +31,7 @@ FACTORY = FieldCorrection((5.0, 13.0, -18.0))
 NAMES = ("rover_plain", "rover_dist", "rover_dist_use2", "copter_dist_use2")
 
 
+@cache
 def firmware_track(shared_data: Path, name: str, ending: str) -> Track:
     track = read_track(shared_data / "ardupilot-4.6.3" / f"{name}.{ending}")
     compasses = dict(track.compasses)
@@ -37,10 +40,15 @@ def firmware_track(shared_data: Path, name: str, ending: str) -> Track:
     return replace(track, compasses=compasses)
 
 
+@cache
+def firmware_calibration(shared_data: Path, name: str, ending: str) -> CalibrationResult:
+    return calibrate_track(firmware_track(shared_data, name, ending))
+
+
 @pytest.mark.parametrize("ending", ["tlog", "BIN"])
 @pytest.mark.parametrize("name", ["rover_dist_use2", "copter_dist_use2", "rover_dist"])
 def test_firmware_distortion_is_cured(shared_data: Path, name: str, ending: str) -> None:
-    result = calibrate_track(firmware_track(shared_data, name, ending))
+    result = firmware_calibration(shared_data, name, ending)
     slack = 3.0 if name == "rover_dist" else 2.0
     assert result.accepted, result.reasons
     x, y, _ = result.correction.offsets_mgauss
@@ -66,7 +74,7 @@ def test_a_good_calibration_is_left_nearly_alone(shared_data: Path, ending: str)
 def test_the_true_heading_is_right_where_the_autopilots_yaw_is_bent(shared_data: Path, ending: str) -> None:
     """In rover_dist the EKF is up to 32 degrees off; the simulator's truth judges."""
     track = firmware_track(shared_data, "rover_dist", ending)
-    result = calibrate_track(track)
+    result = firmware_calibration(shared_data, "rover_dist", ending)
     heading = heading_of_track(track, result.correction)
     assert heading.true_rad is not None and track.truth_q is not None
     yaw = matrix_to_euler(quaternion_to_matrix(track.truth_q.values))[2]
@@ -84,7 +92,7 @@ def test_the_true_heading_is_right_where_the_autopilots_yaw_is_bent(shared_data:
 
 def test_the_truth_is_never_an_input(shared_data: Path) -> None:
     track = firmware_track(shared_data, "rover_dist", "tlog")
-    with_truth = calibrate_track(track)
+    with_truth = firmware_calibration(shared_data, "rover_dist", "tlog")
     without = calibrate_track(replace(track, truth_q=None))
     assert with_truth.correction == without.correction
 

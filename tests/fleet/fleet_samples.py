@@ -19,7 +19,7 @@ FIELD_MGAUSS = (210.0, 12.0, 430.0)  # about what the world model has there: nor
 
 
 def write_recording(
-    path: Path, offset_mgauss: tuple[float, float, float], seed: int = 0, rate_hz: float = 20.0
+    path: Path, offset_mgauss: tuple[float, float, float], seed: int = 0, rate_hz: float = 10.0
 ) -> Path:
     """Write a level vehicle that turns in four steps of 90 degrees, as a Track CSV."""
     noise = np.random.default_rng(seed)

@@ -45,7 +45,7 @@ def own(
         if link.person is not None:
             link.person(what)
 
-    wanted = CalibrateSettings(**{"writing": "yes", "method": "autopilot", **settings})
+    wanted = CalibrateSettings(**{"writing": "yes", "method": "autopilot", "rate_hz": 10.0, **settings})
     return calibrate_on(link, "sim:test", wanted, on_show=show, stop=stop, undo_directory=folder)
 
 

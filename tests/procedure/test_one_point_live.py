@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from bent_vehicles import KINDS
 
 from mavcompass import messages as mav
 from mavcompass.calibration.result import TrueHeading
@@ -48,7 +47,8 @@ def one_point(
     return calibrate_on(SimulatedLink(vehicle), "sim:test", settings, undo_directory=folder)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+# On the ground, afloat, and of the other autopilot: what turns them otherwise does not turn them here.
+@pytest.mark.parametrize("kind", ["rover", "boat", "px4-copter"])
 def test_it_is_cured_where_it_stands(kind: str, tmp_path: Path) -> None:
     vehicle, heard = standing(kind)
     before_deg = heading_error_rms_deg(vehicle)

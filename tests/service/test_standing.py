@@ -19,6 +19,7 @@ from mavcompass.service.watch import CompassWatch
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 
 DEG, STEP_S, LIMIT_DEG = math.pi / 180.0, 0.1, WatchConfig().step_deg
+SECONDS = 65.0
 
 
 def after(seconds: float, iron: Callable[[float], float], rate_dps: Callable[[float], float]) -> FieldStep:
@@ -71,8 +72,8 @@ def told(vehicle: SimulatedAutopilot, kind: str, seconds: float) -> dict[str, fl
 
 @pytest.mark.parametrize("kind", ["rover", "boat", "copter"])
 def test_a_battery_that_is_swapped_is_noticed_before_arming(kind: str) -> None:
-    step = f"hard_iron_step:x=9,y=6,z=0,on_s={(on_s := 60.0)}"
+    step = f"hard_iron_step:x=9,y=6,z=0,on_s={(on_s := 40.0)}"
     vehicle = SimulatedAutopilot(kind, seed=6, armed=False, effects=(step,))
-    said = told(vehicle, kind, 90.0)
-    assert list(said) == ["step1"] and on_s < said["step1"] + vehicle.time_s - 90.0 < on_s + 20.0
-    assert told(SimulatedAutopilot(kind, seed=6, armed=False, calibration="exact"), kind, 90.0) == {}
+    said = told(vehicle, kind, SECONDS)
+    assert list(said) == ["step1"] and on_s < said["step1"] + vehicle.time_s - SECONDS < on_s + 20.0
+    assert told(SimulatedAutopilot(kind, seed=6, armed=False, calibration="exact"), kind, SECONDS) == {}

@@ -30,7 +30,7 @@ MOTOR_MGAUSS_PER_A = np.array([1.6, -1.0, 0.5])
 @pytest.fixture(scope="module")
 def loaded() -> Track:
     """A vehicle that turns in steps, whose current swings, with the current's field in its compass."""
-    track = make_track(Recipe("yaw-steps", duration_s=60.0, seed=3))
+    track = make_track(Recipe("yaw-steps", duration_s=60.0, rate_hz=10.0, seed=3))
     mag = track.compasses[1].reported
     current_a = 12.0 + 3.0 * np.sin(2.0 * np.pi * mag.time_s / 23.0)
     bent = replace(mag, values=mag.values + current_a[:, np.newaxis] * MOTOR_MGAUSS_PER_A)

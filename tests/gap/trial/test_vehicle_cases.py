@@ -136,7 +136,7 @@ def test_gyro_and_accelerometer_are_those_of_the_motion(kind: str, name: str) ->
 
 def test_a_case_is_the_same_each_time_and_its_flight_needs_no_baseline() -> None:
     for tier in TIERS:
-        one, two, alone = make_case(17, tier), make_case(17, tier), flight(17, tier)
+        one, two, alone = make_case(3, tier), make_case(3, tier), flight(3, tier)
         for other in (two, alone):
             np.testing.assert_array_equal(
                 one.track.compasses[1].reported.values, other.track.compasses[1].reported.values
@@ -150,7 +150,7 @@ def test_a_case_is_the_same_each_time_and_its_flight_needs_no_baseline() -> None
 
 
 def test_a_tier_has_as_many_effects_as_it_says() -> None:
-    for seed in range(4):
+    for seed in (3, 4, 19, 20):  # short ones
         assert [len(flight(seed, tier).effects) for tier in TIERS] == [0, 1, 2, 1]
 
 

@@ -67,7 +67,7 @@ def test_whoever_steps_in_ends_the_turn_as_any_other(
     campaigns: Callable[[str], ModuleType], event: str
 ) -> None:
     interruptions = campaigns("interruptions")
-    for seed in range(3000, 3003):
+    for seed in (3000, 3001):
         outcome = interruptions.interrupt("rover", event, seed, 12.0, CONTINUOUS)
         if outcome is None:
             continue
