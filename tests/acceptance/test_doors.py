@@ -26,6 +26,8 @@ def doors(campaigns: Callable[[str], Any]) -> Iterator[Any]:
         doors = campaigns("doors")
         # As many readings a second as a compass has: recordings of half the size.
         patch.setattr(doors, "CalibrateSettings", partial(doors.CalibrateSettings, rate_hz=10.0))
+        # A minute of being turned about shows a service as much as two.
+        patch.setattr(doors, "ABOUT_MOVES", doors.ABOUT_MOVES[:12])
         made = tuple(doors.situations(0))
         patch.setattr(doors, "situations", lambda _: made)
         yield doors

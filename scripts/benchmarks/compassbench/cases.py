@@ -321,8 +321,8 @@ def _attitude(motion: Motion, steered: F, earth: F, rng: RNG) -> F:
     shown = math.atan2(earth[1], earth[0]) - np.arctan2(level[:, 1], level[:, 0])
     error = np.angle(np.exp(1j * (shown - euler[:, 2])))
     held, share = np.empty(error.size), STEP_S / 5.0
-    now = error[0]
-    for k, one in enumerate(error):
+    now = float(error[0])
+    for k, one in enumerate(error.tolist()):
         now += share * math.remainder(one - now, 2.0 * math.pi)
         held[k] = now
     roll, pitch, yaw = euler[:, 0] + off[0], euler[:, 1] + off[1], euler[:, 2] + held

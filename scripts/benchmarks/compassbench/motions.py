@@ -163,11 +163,11 @@ def flight(rng: RNG) -> Motion:
     roll, pitch = (smooth(wander(rng, yaw.size, math.radians(9.0), 4.0), 0.6) for _ in range(2))
     euler = np.stack([roll, pitch, yaw], axis=1)
     thrust = -matrices(euler)[:, :, 2] * (GRAVITY / (np.cos(roll) * np.cos(pitch)))[:, np.newaxis]
-    push, speed = thrust + np.array([0.0, 0.0, GRAVITY]), np.zeros(3)
+    push, (x, y, z) = thrust + np.array([0.0, 0.0, GRAVITY]), (0.0, 0.0, 0.0)
     velocity = np.empty_like(push)
-    for k, one in enumerate(push):
-        speed = speed + (one - 0.5 * speed) * STEP_S
-        velocity[k] = speed
+    for k, (a, b, c) in enumerate(push.tolist()):
+        x, y, z = x + (a - 0.5 * x) * STEP_S, y + (b - 0.5 * y) * STEP_S, z + (c - 0.5 * z) * STEP_S
+        velocity[k] = x, y, z
     lean = np.hypot(roll, pitch) / math.radians(30.0)
     effort = np.clip(0.4 + lean + wander(rng, yaw.size, 0.15, 2.0), 0.1, 1.0)
     return Motion(euler, np.gradient(velocity, STEP_S, axis=0), velocity, effort)
