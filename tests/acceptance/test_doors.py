@@ -45,14 +45,8 @@ def test_a_situation_is_judged_alike_through_every_door(
     monkeypatch.setenv("MAVCOMPASS_UNDO_DIR", str(tmp_path))
     found = doors.tried(sampled(doors, name))
     assert doors.contradictions(found) == []
-    assert {one.door for one in found} >= {
-        "turns itself",
-        "by hand",
-        "its .tlog",
-        "fleet",
-        "its .csv",
-        "learnt",
-    }
+    asked = {"turns itself", "by hand", "its .tlog", "fleet", "its .csv", "learnt"}
+    assert {one.door for one in found} >= asked
 
 
 def test_a_contradiction_is_noticed(doors: Any, tmp_path: Path) -> None:
@@ -70,10 +64,5 @@ def test_a_contradiction_is_noticed(doors: Any, tmp_path: Path) -> None:
     before = dict(wire.vehicles[0].firmware.parameters.store.values)
     wrong = cell(right, "Python", lambda: (entry, False), wire=wire, before=before, mends=False).wrong
     wire.close()
-    assert [
-        part for part in ("instead of right", "deg off", "not written") if any(part in w for w in wrong)
-    ] == [
-        "instead of right",
-        "deg off",
-        "not written",
-    ]
+    words = ["instead of right", "deg off", "not written"]
+    assert [part for part in words if any(part in w for w in wrong)] == words

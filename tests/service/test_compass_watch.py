@@ -65,13 +65,7 @@ def test_a_good_compass_is_let_pass_standing_turning_and_driving() -> None:
         turned = 0.3 * t
         first = heading(t, turned, turned_rad=turned)
         quiet = glance(t, first, heading(t, turned + 2.0 * DEG, 2, turned_rad=turned))
-        return replace(
-            quiet,
-            rate_radps=0.3,
-            kind="boat",
-            speed_mps=3.0,
-            current_a=10 + 5 * math.sin(t),
-        )
+        return replace(quiet, rate_radps=0.3, kind="boat", speed_mps=3.0, current_a=10 + 5 * math.sin(t))
 
     assert found(see) == set()
 

@@ -33,14 +33,7 @@ from mavcompass.calibration.motion.misfit import (
     soundness,
 )
 from mavcompass.calibration.motion.sections import Sections
-from mavcompass.calibration.rigid import (
-    IronPrior,
-    assembled,
-    common_error,
-    covariance_of,
-    prior_rows,
-    settle,
-)
+from mavcompass.calibration.rigid import IronPrior, assembled, common_error, covariance_of, prior_rows, settle
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration

@@ -19,11 +19,7 @@ from mavcompass.calibration.motion.sections import (
     reference_turn,
     sparse_words,
 )
-from mavcompass.calibration.observation import (
-    accelerometer_of,
-    find_dwells,
-    turn_record,
-)
+from mavcompass.calibration.observation import accelerometer_of, find_dwells, turn_record
 from mavcompass.calibration.observation.turning import TurnRecord
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult

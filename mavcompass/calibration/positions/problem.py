@@ -9,15 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcompass.calibration.first_state import first_state, rough_field
-from mavcompass.calibration.model import (
-    GAIN,
-    HEADINGS,
-    HORIZONTAL,
-    OFFSET,
-    VERTICAL,
-    by_tilt,
-    gain_matrix,
-)
+from mavcompass.calibration.model import GAIN, HEADINGS, HORIZONTAL, OFFSET, VERTICAL, by_tilt, gain_matrix
 from mavcompass.calibration.observation import FourPositionData, Step
 from mavcompass.calibration.rigid import (
     DEFAULT_PRIOR,

@@ -8,15 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as dialect
-from recorded_frames import (
-    Recording,
-    attitude,
-    heartbeat,
-    parameter,
-    raw_imu,
-    scaled_imu,
-    sys_status,
-)
+from recorded_frames import Recording, attitude, heartbeat, parameter, raw_imu, scaled_imu, sys_status
 
 from mavcompass.errors import BadRecording
 from mavcompass.logs import read_track, read_tracks
@@ -103,9 +95,7 @@ def test_the_vehicle_is_found_by_what_it_is_not_by_who_is_heard_first(tmp_path: 
     assert (track.vehicle, len(track.compasses[1].reported)) == ("copter", 30)
 
 
-def test_what_a_station_fetched_as_a_file_is_the_vehicles_and_a_gimbals_is_not(
-    tmp_path: Path,
-) -> None:
+def test_what_a_station_fetched_as_a_file_is_the_vehicles_and_a_gimbals_is_not(tmp_path: Path) -> None:
     """MAVProxy logs it under the vehicle's system and an address that has no heartbeat."""
     recording = Recording().add(0.0, heartbeat("gimbal"), component=154)
     for number, (axis, value) in enumerate(zip("XYZ", (5.0, 13.0, -18.0), strict=True)):

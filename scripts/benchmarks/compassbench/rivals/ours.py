@@ -45,14 +45,10 @@ def track_of(case: Case) -> Track:
 def solve(case: Case, argument: str = "") -> Solution | Headings | Named:
     """Do what the task asks for; a refusal of the package is one here."""
     try:
-        return {"": calibrate, "heading": heading, "gap": gap}[argument](case)
+        found = {"": lambda of: solution(mavcompass.calibrate(track_of(of))), "heading": heading, "gap": gap}
+        return found[argument](case)
     except mavcompass.MavCompassError as refusal:
         raise Refusal(str(refusal)) from refusal
-
-
-def calibrate(case: Case) -> Solution:
-    """Calibrate."""
-    return solution(mavcompass.calibrate(track_of(case)))
 
 
 def solution(result: CalibrationResult) -> Solution:
