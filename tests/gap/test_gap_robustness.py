@@ -15,8 +15,8 @@ from mavcompass.simulation import effects
 from mavcompass.simulation.physics.signals import ideal
 from mavcompass.track import MagSeries, Series, Track
 
-RICH = Recipe("rich", duration_s=60.0, rate_hz=10.0, seed=51)
-LEVEL = Recipe("yaw-steps", duration_s=80.0, rate_hz=10.0, seed=53)
+RICH = Recipe("rich", duration_s=45.0, rate_hz=10.0, seed=51)
+LEVEL = Recipe("yaw-steps", duration_s=60.0, rate_hz=10.0, seed=53)
 
 
 @pytest.fixture(scope="module")

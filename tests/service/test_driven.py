@@ -20,7 +20,7 @@ from mavcompass.simulation.physics.motion import Drive
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 
 RATES_HZ = {mav.RawImu: 20, mav.ScaledImu2: 10, mav.Attitude: 10, mav.GpsRawInt: 5, mav.GlobalPositionInt: 2}
-SECONDS, LOOK_S = 130.0, 0.1
+SECONDS, LOOK_S = 100.0, 0.1
 
 
 class Driven:

@@ -177,8 +177,8 @@ def test_only_the_vehicle_of_the_configured_system_is_served(tmp_path: Path) -> 
 def test_cuts_and_reboots_are_bridged_and_no_calibration_result_is_missed(
     campaigns: Callable[[str], ModuleType],
 ) -> None:
-    """Four minutes of the campaign `scripts/campaigns/service_soak.py`."""
-    figures = campaigns("service_soak").Soak(hours=0.07, cuts=5, reboots=1, calibrations=1).run()
+    """Three minutes of the campaign `scripts/campaigns/service_soak.py`."""
+    figures = campaigns("service_soak").Soak(hours=0.05, cuts=5, reboots=1, calibrations=1).run()
     faults = [fault for fault in figures.faults if "memory" not in fault]  # too short for that
     assert faults == []
     assert figures.calibrations == 1
