@@ -178,13 +178,7 @@ def test_a_mounting_that_cannot_be_set_is_refused_with_what_to_do(
         mounting_values(autopilot, held, 1, TURNED)
 
 
-@given(
-    corrections,
-    rotations,
-    st.sampled_from(["ardupilot", "px4"]),
-    st.floats(0.0, 30.0),
-    st.booleans(),
-)
+@given(corrections, rotations, st.sampled_from(["ardupilot", "px4"]), st.floats(0.0, 30.0), st.booleans())
 def test_turning_a_compass_turns_the_field_that_it_shows(
     correction: FieldCorrection, turned: FloatArray, autopilot: str, current_a: float, told: bool
 ) -> None:

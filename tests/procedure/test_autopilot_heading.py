@@ -28,6 +28,8 @@ from mavcompass.simulation.ardupilot import ArduPilot
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.track import Track
 
+# As many readings a second as a compass has.
+WRITE = CalibrateSettings(writing="yes", rate_hz=10.0)
 ARMS_ANYWAY = {"ARMING_CHECK": 0.0}
 # A second set of sources in earnest: which of them is in use nobody can tell from outside.
 NO_SWITCH = {"EK3_SRC2_POSXY": 6.0}
@@ -41,7 +43,7 @@ def test_a_minute_after_the_end_it_steers_by_the_new_heading(tmp_path: Path) -> 
     vehicle = bent_vehicle("rover", 3)
     vehicle.advance(vehicle.time_s + 20.0)
     assert steers_off_deg(vehicle) > 5.0
-    report = calibrated(vehicle, tmp_path)
+    report = calibrated(vehicle, tmp_path, WRITE)
     heading = report.heading
     assert heading is not None and not report.steers_off
     assert abs(heading.error_after_deg) < 1.0
@@ -58,14 +60,14 @@ def test_a_minute_after_the_end_it_steers_by_the_new_heading(tmp_path: Path) -> 
 
 def test_where_it_cannot_be_switched_its_own_noises_bring_it_there(tmp_path: Path) -> None:
     vehicle = SimulatedAutopilot("rover", seed=3, parameters=NO_SWITCH)
-    report = calibrated(vehicle, tmp_path)
+    report = calibrated(vehicle, tmp_path, WRITE)
     assert report.heading is not None and report.heading.by == "believing its compass for some seconds"
     assert steers_off_deg(vehicle) < 1.0
 
 
 def test_it_is_measured_where_nothing_can_be_done(tmp_path: Path) -> None:
     vehicle = SimulatedAutopilot("rover", seed=3, parameters={"AHRS_EKF_TYPE": 2.0})
-    report = calibrated(vehicle, tmp_path)
+    report = calibrated(vehicle, tmp_path, WRITE)
     assert report.heading is not None and report.heading.by == "its own filter"
     assert math.isclose(abs(report.heading.error_after_deg), steers_off_deg(vehicle), abs_tol=0.7)
 
@@ -75,7 +77,7 @@ def test_what_does_not_rest_is_not_waited_for_in_silence(
 ) -> None:
     monkeypatch.setattr(OwnHeading, "_look", lambda own: None)
     shown: list[str] = []
-    report = calibrated(SimulatedAutopilot("rover", seed=3), tmp_path, shown=shown)
+    report = calibrated(SimulatedAutopilot("rover", seed=3), tmp_path, WRITE, shown=shown)
     assert report.heading is not None and report.heading.seconds < 70.0
     assert any("own heading is measured once it rests" in text for text in shown)
 

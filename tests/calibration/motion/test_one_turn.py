@@ -22,13 +22,7 @@ TURN = [(1.1, 2.0 + TURN_S)]
 
 def one_turn(seed: int = 1, noise: float = 0.0, gyro_noise: float = 0.0, by_deg: float = 360.0) -> Track:
     return turning_track(
-        IRON,
-        dwell_s=2.0,
-        turn_s=TURN_S,
-        turns_deg=(by_deg,),
-        noise=noise,
-        gyro_noise=gyro_noise,
-        seed=seed,
+        IRON, dwell_s=2.0, turn_s=TURN_S, turns_deg=(by_deg,), noise=noise, gyro_noise=gyro_noise, seed=seed
     )
 
 

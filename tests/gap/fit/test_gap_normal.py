@@ -133,13 +133,7 @@ def test_many_columns_are_whitened_as_each_alone(
         np.testing.assert_allclose(many[:, :, k], noise.whiten(errors[:, :, k]), atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "first",
-    [
-        0,
-        1,
-    ],
-)
+@pytest.mark.parametrize("first", [0, 1])
 def test_channels_of_mixed_kinds_are_whitened_alike(first: int) -> None:
     noise = noise_of((0.0, 0.6, 0.8), 1, True)
     errors = np.random.default_rng(9).standard_normal((200, 3, 2))

@@ -10,6 +10,7 @@ import pytest
 from bent_vehicles import bent_vehicle, calibrated
 
 from mavcompass.calibration import calibrate_track
+from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
 from mavcompass.procedure.positions import Proof, prove
 from mavcompass.procedure.report import CalibrationReport
@@ -24,25 +25,33 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> CalibrationReport:
     return calibrated(bent_vehicle("rover", 3), tmp_path_factory.mktemp("proof"), settings)
 
 
-def proof_of(report: CalibrationReport, doubts: tuple[str, ...] = (), off_mgauss: float = 0.0) -> Proof:
-    """Prove what the first four positions gave, its offset to the right wrong by `off_mgauss`."""
+Solved = tuple[CalibrationReport, CalibrationResult, CalibrationResult]
+
+
+@pytest.fixture(scope="module")
+def solved(report: CalibrationReport) -> Solved:
+    """Return it with what the first four positions gave, and all five."""
     spans = [(window.start_s, window.end_s) for window in report.windows]
-    four = calibrate_track(report.track, windows=spans[:4])
-    five = calibrate_track(report.track, windows=spans)
+    return report, *(calibrate_track(report.track, windows=spans[:count]) for count in (4, 5))
+
+
+def proof_of(solved: Solved, doubts: tuple[str, ...] = (), off_mgauss: float = 0.0) -> Proof:
+    """Prove what the first four positions gave, its offset to the right wrong by `off_mgauss`."""
+    report, four, five = solved
     x, y, z = four.correction.offsets_mgauss
     four = replace(four, correction=replace(four.correction, offsets_mgauss=(x, y + off_mgauss, z)))
     five = replace(five, reasons=doubts)
     return prove(report.track, report.windows[3], report.windows[4], [four], [five])
 
 
-def test_a_right_calibration_is_proven(report: CalibrationReport) -> None:
-    proof = proof_of(report)
+def test_a_right_calibration_is_proven(solved: Solved) -> None:
+    proof = proof_of(solved)
     assert proof.passed and proof.summary().startswith("Checked by a turn: compass 1 ")
     assert proof.compasses[0].change_deg < 0.3
 
 
-def test_a_bend_that_the_turn_does_not_show_is_seen_by_solving_anew(report: CalibrationReport) -> None:
-    proofs = [proof_of(report, off_mgauss=off) for off in (-8.0, 8.0)]
+def test_a_bend_that_the_turn_does_not_show_is_seen_by_solving_anew(solved: Solved) -> None:
+    proofs = [proof_of(solved, off_mgauss=off) for off in (-8.0, 8.0)]
     # The bend of an offset is steep at some headings and flat at others.
     assert min(abs(p.compasses[0].difference_deg) for p in proofs) < 2.5
     for proof in proofs:
@@ -50,8 +59,8 @@ def test_a_bend_that_the_turn_does_not_show_is_seen_by_solving_anew(report: Cali
         assert "the heading of compass 1 would be" in proof.summary()
 
 
-def test_a_position_that_contradicts_the_others_proves_nothing(report: CalibrationReport) -> None:
-    proof = proof_of(report, doubts=("The positions do not fit one rigid compass.",))
+def test_a_position_that_contradicts_the_others_proves_nothing(solved: Solved) -> None:
+    proof = proof_of(solved, doubts=("The positions do not fit one rigid compass.",))
     assert not proof.passed
     assert proof.summary().startswith("The turn does not confirm the new values: ")
     assert proof.summary().endswith("The positions do not fit one rigid compass.")
