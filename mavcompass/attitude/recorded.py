@@ -79,9 +79,8 @@ def down_in_body(track: Track, time_s: FloatArray) -> FloatArray:
     return levels(track).at(time_s)
 
 
-# Series are told apart by identity: every door that asks about one recording gets one answer, and so does
-# each of its compasses that was cut where its iron changed.
-@lru_cache(maxsize=8)
+# Series are told apart by identity: every door that asks about one recording gets one answer.
+@lru_cache(maxsize=4)
 def _levels(
     acc: Series | None,
     gyro: Series | None,

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,6 @@ from mavcompass.calibration.motion.sections import LEAST_CIRCLE_RAD, Sections
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, circle_covered_rad, wrap_pi
-from mavcompass.track import Series
 
 # A model error that bends the heading by less is not looked into: it may be chance, or the tilt's.
 WORTH_IT_RAD = math.radians(0.5)
@@ -136,17 +134,7 @@ def _dated(motion: Motion, later: Motion, moved_mgauss: float) -> float:
 
 def since(recorded: Recorded, start_s: float) -> Recorded:
     """Cut a recording to what was after a time."""
-
-    def cut(_: str, series: Series) -> Series:
-        return _from(series, int(np.searchsorted(series.time_s, start_s)))
-
-    return replace(recorded, track=recorded.track.with_columns(cut))
-
-
-# Series are told apart by identity: of what is cut alike for two compasses roll and pitch are told once.
-@lru_cache(maxsize=64)
-def _from(series: Series, first: int) -> Series:
-    return Series(series.time_s[first:], series.values[first:])
+    return replace(recorded, track=recorded.track.between(start_s, math.inf))
 
 
 def _candidates(motion: Motion) -> list[float]:
