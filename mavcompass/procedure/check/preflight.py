@@ -14,8 +14,7 @@ from typing import Literal
 import numpy as np
 
 from mavcompass import messages as mav
-from mavcompass.attitude import levels
-from mavcompass.calibration.observation import assemble, dwell_between
+from mavcompass.calibration.observation import Dwell, assemble, dwell_between
 from mavcompass.compass_parameters import is_calibrated, orientation_name
 from mavcompass.correction import FieldCorrection
 from mavcompass.credible import SILENT, is_silent
@@ -235,12 +234,11 @@ class _Checker:
         if is_silent(seen.mean_mgauss[np.newaxis]):
             return None
         in_force, shown = self._in_force(instance), track.between(window.start_s, window.end_s)
-        self.fields.setdefault(instance, []).append(in_force.apply(seen.mean_mgauss))
+        mean = in_force.apply(seen.mean_mgauss)
+        self.fields.setdefault(instance, []).append(mean)
         # Of each reading: the mean of what tumbles is shorter than any.
-        fields = in_force.apply(shown.raw_field(instance))
-        down = levels(track).at(shown.compasses[instance].time_s - track.field_lag_s)
-        total = float(np.nanmean(np.linalg.norm(fields, axis=1)))
-        vertical = float(np.nanmean((fields * down).sum(axis=1)))
+        total = float(np.nanmean(np.linalg.norm(in_force.apply(shown.raw_field(instance)), axis=1)))
+        vertical = total * float(mean @ _down(seen)) / float(np.linalg.norm(mean))
         horizontal = math.sqrt(max(total**2 - vertical**2, 0.0))
         return Reading(instance, horizontal, vertical, seen.heading_rad(in_force))
 
@@ -371,3 +369,9 @@ class _Checker:
     def _add(self, item: CheckItem | None) -> None:
         if item is not None:
             self.items.append(item)
+
+
+def _down(seen: Dwell) -> FloatArray:
+    """Return which way was down, (3,), in body axes."""
+    roll, pitch = seen.roll_rad, seen.pitch_rad
+    return np.array([-math.sin(pitch), math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll)])
