@@ -39,8 +39,7 @@ def test_a_push_that_fades_within_two_seconds_is_within_what_is_said_of_it(
     found = looks_at(pushes[::-1] if backward else pushes)[1:]
     for mean, variance in found:
         assert abs(mean) < 1.4 * math.sqrt(2.0 * variance)
-    ends = found[0] if backward else found[-1]
-    assert math.sqrt(ends[1]) < 0.5 * math.sqrt(max(variance for _, variance in found))
+    assert found[0 if backward else -1][1] < 0.25 * max(variance for _, variance in found)
 
 
 def test_standing_long_leaves_little_more_than_noise() -> None:

@@ -1,13 +1,13 @@
 """What a calibration by turning looks at: where the vehicle stood still, how tilted, how far it turned."""
 
 from mavcompass.calibration.observation.detector import UNREST as UNREST
+from mavcompass.calibration.observation.detector import WHEELED as WHEELED
 from mavcompass.calibration.observation.detector import StillnessDetector as StillnessDetector
 from mavcompass.calibration.observation.dwells import Dwell as Dwell
 from mavcompass.calibration.observation.dwells import FourPositionData as FourPositionData
 from mavcompass.calibration.observation.dwells import Step as Step
 from mavcompass.calibration.observation.dwells import dwell_between as dwell_between
 from mavcompass.calibration.observation.dwells import latest_dwells as latest_dwells
-from mavcompass.calibration.observation.rolling import WHEELED as WHEELED
 from mavcompass.calibration.observation.stillness import accelerometer_of as accelerometer_of
 from mavcompass.calibration.observation.stillness import assemble as assemble
 from mavcompass.calibration.observation.stillness import find_dwells as find_dwells

@@ -7,7 +7,8 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from mavcompass.calibration.observation.rolling import RollingWitness
+import numpy as np
+
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 STILL_RATE_RADPS = math.radians(3.0)
@@ -22,6 +23,10 @@ _FIELD_CHANCE = 7.5
 # Steadier than that no field is between two readings at rest.
 _FIELD_STEP_MGAUSS = 60.0
 _NOISE_SAMPLES = 40
+WHEELED = frozenset({"rover", "ackermann-rover"})
+# The mean forces of so long before and after a moment are compared: a change of this much leans the
+# accelerometer by half a degree; what chance gives is no change.
+_HALF_S, _LEAST_STEP_MPS2, _CHANCE = 0.25, 0.08, 5.0
 
 # What `Stillness.why_not` means, for a person.
 UNREST = {
@@ -80,6 +85,41 @@ class WhiteNoise:
             return 0.0
         medians = [sorted(column)[len(column) // 2] for column in zip(*self._bends, strict=True)]
         return math.hypot(*medians) / math.sqrt(len(medians)) / (0.6745 * math.sqrt(6.0))
+
+
+class RollingWitness:
+    """Tell live, reading by reading, whether a vehicle on wheels brakes or gathers way.
+
+    Steered wheels that go straight may still roll: no gyro sees that, while a braking of 1 m/s^2 leans the
+    accelerometer's down by six degrees. It is seen where it begins and ends: there the specific force changes
+    by more than the body's turning explains.
+    """
+
+    def __init__(self) -> None:
+        self._felt: deque[tuple[float, ...]] = deque()  # time, force, angle turned
+
+    def hear(self, time_s: float, gyro_radps: tuple[float, ...], acc_mps2: tuple[float, ...]) -> None:
+        """Take the next reading, body axes."""
+        angle = [0.0, 0.0, 0.0]
+        if self._felt:
+            before = self._felt[-1]
+            lasted_s = time_s - before[0]
+            angle = [a + lasted_s * rate for a, rate in zip(before[4:], gyro_radps, strict=True)]
+        self._felt.append((time_s, *acc_mps2, *angle))
+        while self._felt[0][0] < time_s - 2.0 * _HALF_S:
+            self._felt.popleft()
+
+    def rolls(self, noise_mps2: float) -> bool:
+        """Tell whether the force of the last quarter of a second is another than that of the one before."""
+        felt = np.array(self._felt)
+        late = felt[:, 0] > felt[-1, 0] - _HALF_S
+        if late.all() or not np.isfinite(felt).all():
+            return False
+        before, after = felt[~late].mean(axis=0), felt[late].mean(axis=0)
+        turned = np.cross(after[4:] - before[4:], 0.5 * (before[1:4] + after[1:4]))
+        step = float(np.linalg.norm(after[1:4] - before[1:4] + turned))
+        chance = _CHANCE * noise_mps2 * math.sqrt(2.0 / min(late.sum(), (~late).sum()))
+        return step > math.hypot(_LEAST_STEP_MPS2, chance)
 
 
 class StillnessDetector:
@@ -151,14 +191,10 @@ class StillnessDetector:
         length = math.hypot(*acc)
         if not math.isfinite(length) or length < 1.0:
             return
-        down = tuple(-a / length for a in acc)
-        if self._last is None:
-            self._down = (down[0], down[1], down[2])
-            return
-        gain = min((time_s - self._last[0]) / 0.5, 1.0)
-        mixed = [old + gain * (new - old) for old, new in zip(self._down, down, strict=True)]
-        size = math.hypot(*mixed) or 1.0
-        self._down = (mixed[0] / size, mixed[1] / size, mixed[2] / size)
+        gain = 1.0 if self._last is None else min((time_s - self._last[0]) / 0.5, 1.0)
+        x, y, z = (old - gain * (a / length + old) for old, a in zip(self._down, acc, strict=True))
+        size = math.hypot(x, y, z) or 1.0
+        self._down = (x / size, y / size, z / size)
 
     def _judge(self, time_s: float, mag: tuple[float, float, float]) -> None:
         # A noise takes a sort: it is asked only where less than it allows is exceeded.

@@ -37,7 +37,6 @@ class Dwell:
             compensation left in, whole-number conversion taken back.
         covariance_mgauss2: of that mean, (3, 3), by noise; repeated readings count once.
         quantisation_mgauss2: of that mean, (3, 3), by the wire's whole numbers.
-        acc_mps2: mean specific force, (3,), nan where not recorded.
         roll_rad, pitch_rad, tilt_sigma_rad: the tilt, and what is not known of it (each angle).
         samples: fresh readings in the mean.
         turned_rad: the gyro's angle about the vertical, counted from the recording's start; nan
@@ -52,7 +51,6 @@ class Dwell:
     mean_mgauss: FloatArray
     covariance_mgauss2: FloatArray
     quantisation_mgauss2: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
-    acc_mps2: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     roll_rad: float = 0.0
     pitch_rad: float = 0.0
     tilt_sigma_rad: float = TILT_FLOOR_RAD
@@ -194,7 +192,7 @@ def _dwell(
     middle = float(np.median(angles))
     turned = middle + float(np.angle(phasor * np.exp(-1j * middle)))
     turning = abs(float(np.mean(record.rate_at(time)))) if record is not None else 0.0
-    roll, pitch, tilt_sigma, acc = tilt_during(track, felt_s, LAG_SIGMA_S, level)
+    roll, pitch, tilt_sigma = tilt_during(track, felt_s, LAG_SIGMA_S, level)
     mapping = level_to_body(*tilt_from_acceleration(-down[keep]), angles[keep] - turned).mean(axis=0)
     current = track.current_a
     return Dwell(
@@ -203,7 +201,6 @@ def _dwell(
         mean_mgauss=in_force.undo(value),
         covariance_mgauss2=covariance,
         quantisation_mgauss2=quantisation,
-        acc_mps2=acc,
         roll_rad=roll,
         pitch_rad=pitch,
         tilt_sigma_rad=tilt_sigma,

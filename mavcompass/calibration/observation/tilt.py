@@ -17,7 +17,6 @@ import math
 import numpy as np
 
 from mavcompass.attitude import Levels, levels
-from mavcompass.calibration.observation.wire import unquantise
 from mavcompass.frames import FloatArray
 from mavcompass.track import Track
 
@@ -38,31 +37,20 @@ _SLOPE_RAD = math.radians(5.0)
 
 def tilt_during(
     track: Track, time_s: FloatArray, lag_sigma_s: float = 0.0, level: Levels | None = None
-) -> tuple[float, float, float, FloatArray]:
-    """Return roll, pitch, their sigma and the mean specific force over the stretch of some readings.
+) -> tuple[float, float, float]:
+    """Return roll, pitch and their sigma over the stretch of some readings.
 
     `lag_sigma_s` is what is not known of the readings' times: it matters while the tilt changes.
     """
-    start, end = float(time_s[0]), float(time_s[-1])
     level = level or levels(track)
     downs = level.at(time_s)
-    down = downs.mean(axis=0)
-    x, y, z = down
+    x, y, z = downs.mean(axis=0)
     sigma = float(level.sigma_rad.at(time_s).mean())
     # The mean of a swing is that of other moments where the times are off.
-    moved = float(np.linalg.norm(downs[-1] - downs[0])) * lag_sigma_s / max(end - start, 1e-3)
+    lasts_s = max(float(time_s[-1] - time_s[0]), 1e-3)
+    moved = float(np.linalg.norm(downs[-1] - downs[0])) * lag_sigma_s / lasts_s
     sigma = math.hypot(sigma, TILT_FLOOR_RAD, moved)
-    return math.atan2(y, z), math.atan2(-x, math.hypot(y, z)), sigma, _mean_force(track, start, end)
-
-
-def _mean_force(track: Track, start: float, end: float) -> FloatArray:
-    """Return the mean specific force (3,) over a stretch; nan for none."""
-    acc = track.acc_mps2
-    values = np.empty((0, 3)) if acc is None else np.asarray(acc.between(start, end + 1e-9).values)
-    values = values[np.isfinite(values).all(axis=1)]
-    if len(values) < 3:
-        return np.full(3, np.nan)
-    return unquantise(values.mean(axis=0), values.std(axis=0), track.acc_truncation_mps2, True)[0]
+    return math.atan2(y, z), math.atan2(-x, math.hypot(y, z)), sigma
 
 
 def accelerometer_sigma_rad(

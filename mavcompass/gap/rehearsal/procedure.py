@@ -153,7 +153,6 @@ def _dwell(
     return replace(
         stance,
         mean_mgauss=field_mgauss + noise * (NOISE not in without) + whole * (QUANTISATION not in without),
-        acc_mps2=force_mps2,
         roll_rad=math.atan2(-y, -z) + float(tilt[0]),
         pitch_rad=math.atan2(x, math.hypot(y, z)) + float(tilt[1]),
         swing=np.eye(3),

@@ -14,14 +14,14 @@ from typing import Literal
 import numpy as np
 
 from mavcompass import messages as mav
-from mavcompass.calibration.observation import Dwell, assemble, dwell_between
+from mavcompass.calibration.observation import assemble, dwell_between
 from mavcompass.compass_parameters import is_calibrated, orientation_name
 from mavcompass.correction import FieldCorrection
 from mavcompass.credible import SILENT, is_silent
 from mavcompass.earth_field import EarthField
 from mavcompass.enums import MavCmd
 from mavcompass.errors import PoorCalibration, Refused
-from mavcompass.frames import FloatArray, circular_mean, wrap_pi
+from mavcompass.frames import FloatArray, circular_mean, level_to_body, wrap_pi
 from mavcompass.heading.fault_isolation import HeadingSource
 from mavcompass.heading.true_north import TrueNorth
 from mavcompass.parameter_remarks import parameter_remarks
@@ -238,7 +238,8 @@ class _Checker:
         self.fields.setdefault(instance, []).append(mean)
         # Of each reading: the mean of what tumbles is shorter than any.
         total = float(np.nanmean(np.linalg.norm(in_force.apply(shown.raw_field(instance)), axis=1)))
-        vertical = total * float(mean @ _down(seen)) / float(np.linalg.norm(mean))
+        down = level_to_body(seen.roll_rad, seen.pitch_rad)[:, 2]
+        vertical = total * float(mean @ down) / float(np.linalg.norm(mean))
         horizontal = math.sqrt(max(total**2 - vertical**2, 0.0))
         return Reading(instance, horizontal, vertical, seen.heading_rad(in_force))
 
@@ -369,9 +370,3 @@ class _Checker:
     def _add(self, item: CheckItem | None) -> None:
         if item is not None:
             self.items.append(item)
-
-
-def _down(seen: Dwell) -> FloatArray:
-    """Return which way was down, (3,), in body axes."""
-    roll, pitch = seen.roll_rad, seen.pitch_rad
-    return np.array([-math.sin(pitch), math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll)])
