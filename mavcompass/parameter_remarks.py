@@ -131,7 +131,4 @@ def _px4(parameters: Mapping[str, float], instance: int) -> list[Remark]:
         )
         remarks.append(Remark(text))
     remarks += _same_id(ids, instance, partial(px4_name, "ID"))
-    if parameters.get("SENS_MAG_AUTOCAL", 0.0):
-        text = "SENS_MAG_AUTOCAL is on: PX4 may go on changing the offsets itself in flight."
-        remarks.append(Remark(text))
     return remarks

@@ -41,7 +41,7 @@ PX4: list[tuple[dict[str, float], int, list[str]]] = [
     ({}, 1, []),
     ({"CAL_MAG0_PRIO": 0.0}, 1, ["CAL_MAG0_PRIO is 0"]),
     ({"CAL_MAG0_PRIO": 0.0}, 2, []),
-    ({"SENS_MAG_AUTOCAL": 1.0}, 1, ["SENS_MAG_AUTOCAL is on"]),
+    ({"SENS_MAG_AUTOCAL": 1.0}, 1, []),  # PX4's default: what has a calibration keeps it
     ({"CAL_MAG0_ID": 0.0}, 1, ["CAL_MAG0_ID is 0"]),
     ({"CAL_MAG0_ID": 7.0, "CAL_MAG1_ID": 7.0}, 1, ["the same device id"]),
     ({"EKF2_GPS_CTRL": 15.0}, 1, ["satellite receivers (EKF2_GPS_CTRL is 15)"]),

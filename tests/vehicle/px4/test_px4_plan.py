@@ -105,7 +105,6 @@ def test_what_a_person_should_know_is_said() -> None:
         return " ".join(DIALECT.plan(px4_parameters(**parameters), {1: correction}).remarks)
 
     assert "switched off" in remarks(CAL_MAG0_PRIO=0.0)
-    assert "SENS_MAG_AUTOCAL" in remarks(SENS_MAG_AUTOCAL=1.0)
     assert "next start" in remarks(FieldCorrection((-20.5, 130.0, -70.0)))
     assert remarks() == ""
 
