@@ -156,12 +156,14 @@ class _Covariance:
 class _GyroComparison:
     """Compare the heading's change with the gyro's, per angle turned.
 
-    What comes between them while nothing turns is the gyro's drift: it teaches nothing of the compass. Nor
-    does what goes with the time, as far as a gyro's bias may at two sigmas, or with how late a reading is
-    (0 to 0.25 s, by firmware and stream).
+    What comes between them where nothing turns for long is the gyro's drift: it teaches nothing of the
+    compass. Nor does what goes with the time, as far as a gyro's bias may at two sigmas, or with how late a
+    reading is (0 to 0.25 s, by firmware and stream), or what changes from one reading to the next: noise.
     """
 
     _seen: _Covariance = field(default_factory=lambda: _Covariance(_TURN_RAD))
+    _noise2: _Average = field(default_factory=lambda: _Average(_TURN_RAD))
+    _turned_s: float = -math.inf
     _last: FloatArray | None = None
     _sum: FloatArray = field(default_factory=lambda: np.zeros(5))
 
@@ -170,10 +172,12 @@ class _GyroComparison:
         now = np.array([*late, heading.from_gyro_rad, drift_rad, heading.turned_rad])
         steps = np.zeros(5) if self._last is None else now - self._last
         self._last, turned = now, abs(float(steps[4]))
-        if turned < 0.003:
+        self._turned_s = heading.boot_s if turned >= 0.003 else self._turned_s
+        if heading.boot_s - self._turned_s > _RAISE_S:
             return
-        self._sum += (steps + math.pi) % (2.0 * math.pi) - math.pi
+        self._sum += (steps := (steps + math.pi) % (2.0 * math.pi) - math.pi)
         self._seen.add(self._sum[:4], turned)
+        self._noise2.add(0.5 * float(steps[2]) ** 2, turned)
 
     @property
     def rms_rad(self) -> float:
@@ -182,7 +186,8 @@ class _GyroComparison:
             return math.nan
         (off2, both), (_, drift2) = self._seen.beside(2, _NOT_LATE_RAD)
         sigmas = min(max(both / max(drift2, _NOT_LATE_RAD**2), -2.0), 2.0)
-        return math.sqrt(max(float(off2 - (2.0 * both - sigmas * drift2) * sigmas), 0.0))
+        off2 -= (2.0 * both - sigmas * drift2) * sigmas + self._noise2.value
+        return math.sqrt(max(float(off2), 0.0))
 
 
 @dataclass(slots=True)
@@ -266,8 +271,7 @@ class CompassWatch:
         record.leaning.add(glance.tilt_sigma_rad / _DEG, step_s)
         world = glance.world
         if world is not None:
-            strength = 100.0 * (heading.total_mgauss / world.total_mgauss - 1.0)
-            record.strength.add(strength, step_s)
+            record.strength.add(100.0 * (heading.total_mgauss / world.total_mgauss - 1.0), step_s)
             record.dip.add((heading.dip_rad - world.inclination_rad) / _DEG, step_s)
         first = glance.headings.get(1)
         if first is not None and heading.instance != 1 and glance.time_s - first.time_s < 1.0:
@@ -372,11 +376,7 @@ _WORDS: dict[str, tuple[str, str, str]] = {  # short, sentence, remedy
     ),
 }
 
-_METHODS = {"step": "touch-up"}
-_SIDES = {  # of a positive and of a negative value
-    "field": ("stronger", "weaker"),
-    "course": ("right", "left"),
-}
+_SIDES = {"field": ("stronger", "weaker"), "course": ("right", "left")}  # of a positive and a negative value
 
 
 def _finding(name: str, instance: int, value: float, limit: float, why: str) -> Finding:
@@ -384,7 +384,7 @@ def _finding(name: str, instance: int, value: float, limit: float, why: str) -> 
     filled_in = {"i": instance, "value": value, "size": abs(value), "side": side}
     short, text, remedy = (words.format(**filled_in, why=why) for words in _WORDS[name])
     severity: Severity = "bad" if abs(value) > _BAD_ABOVE * limit else "warning"
-    short, method = f"Compass {instance}: {short}"[:50], _METHODS.get(name, "")
+    short, method = f"Compass {instance}: {short}"[:50], "touch-up" if name == "step" else ""
     return Finding(name, instance, severity, short, text, remedy, value, limit, method)
 
 

@@ -177,13 +177,16 @@ def test_what_a_gyro_drifts_by_on_long_straight_legs_is_not_blamed_on_the_compas
 
 
 @pytest.mark.parametrize(("iron_deg", "expected"), [(0.0, set()), (20.0, {"gyro1"})])
-@pytest.mark.parametrize(("rate_radps", "drift_deg"), [(0.3, 0.05), (0.1, 0.25), (0.2, -0.35)])
-def test_a_gyro_drift_is_not_blamed_on_the_compass_however_gently_it_turns(
-    rate_radps: float, drift_deg: float, iron_deg: float, expected: set[str]
+@pytest.mark.parametrize("noise_deg", [0.0, 5.4])  # as that of PX4's own simulator
+@pytest.mark.parametrize(("rate_radps", "drift_deg"), [(0.3, 0.05), (0.1, 0.25), (0.2, -0.35), (0.04, 0.0)])
+def test_a_gyro_drift_or_noise_is_not_blamed_on_the_compass_however_gently_it_turns(
+    rate_radps: float, drift_deg: float, noise_deg: float, iron_deg: float, expected: set[str]
 ) -> None:
+    chance = np.random.default_rng(3)
+
     def see(t: float) -> Glance:
-        truly = 1.2 * math.sin(rate_radps * t)
-        bent = truly + iron_deg * DEG * math.cos(truly + 0.5)
+        truly = 1.2 * math.sin(rate_radps * t) + 0.02 * noise_deg * DEG * chance.normal()
+        bent = truly + iron_deg * DEG * math.cos(truly + 0.5) + noise_deg * DEG * chance.normal()
         return glance(t, heading(t, bent, turned_rad=truly + drift_deg * DEG * t))
 
     assert found(see, 240.0) == expected
