@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mavcompass.calibration.observation import latest_dwells
+from mavcompass.calibration.observation import UNREST, latest_dwells
 from mavcompass.calibration.result import CalibrationResult, surest
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkError, PoorCalibration, Refused
@@ -71,8 +71,8 @@ def yaw_error_rad(
     start_s: float,
     end_s: float,
     turned: FloatArray | None = None,
-) -> tuple[float, float]:
-    """Return the autopilot's yaw less the true heading by a calibrated compass at rest; and that one's sigma.
+) -> tuple[float, float, float]:
+    """Return the autopilot's yaw less a calibrated compass's true heading at rest; that one's sigma; the yaw.
 
     The sigma is of noise, tilt and unrest over the stretch, not of the calibration. `turned` (3, 3) makes
     what was recorded what the compass reads as it is mounted.
@@ -87,7 +87,7 @@ def yaw_error_rad(
         seen = replace(seen, mean_mgauss=turned @ seen.mean_mgauss)
     yaw = float(np.angle(np.exp(1j * said.values[:, 2]).mean()))
     sigma = seen.heading_sigma_rad(world.horizontal_mgauss, world.ned_mgauss[2])
-    return float(wrap_pi(yaw - seen.heading_rad(result.correction) - world.declination_rad)), sigma
+    return float(wrap_pi(yaw - seen.heading_rad(result.correction) - world.declination_rad)), sigma, yaw
 
 
 @dataclass(slots=True)
@@ -98,8 +98,8 @@ class OwnHeading:
         overrides: what is held at other values for a while.
         result: the calibrated compass that the heading is compared with; None before there is one.
         before_deg: the error at the start, before the vehicle was turned.
-        by: what brought it there. samples: vehicle time, error and its sigma, degrees, since the last
-            intervention.
+        by: what brought it there. samples: vehicle time, error and its sigma, and the yaw that was told,
+            degrees, since the last intervention.
         not_loaded: True while the autopilot flies on with the calibration that it took off with.
     """
 
@@ -109,7 +109,7 @@ class OwnHeading:
     result: CalibrationResult | None = None
     before_deg: float = math.nan
     by: list[str] = field(default_factory=list)
-    samples: list[tuple[float, float, float]] = field(default_factory=list)
+    samples: list[tuple[float, float, float, float]] = field(default_factory=list)
     not_loaded: bool = False
     _values: Mapping[str, float] = field(default_factory=dict)
     _written_s: float = math.nan
@@ -150,7 +150,7 @@ class OwnHeading:
             self._sample(*window)
         if self.samples:
             self.before_deg = self.samples[0][1]
-            self._bent_deg = max(bent_deg, *(abs(error_deg) for _, error_deg, _ in self.samples))
+            self._bent_deg = max(bent_deg, *(abs(sample[1]) for sample in self.samples))
         self.samples.clear()
 
     def expect(self) -> Script[None]:
@@ -207,7 +207,8 @@ class OwnHeading:
                     left_s = self._patience_s() - (self._context.now - began_s)
                     how = f"the autopilot still follows, {abs(self.error_deg):.1f} deg off now"
                     if not self.samples:
-                        how = f"its own heading is measured once it rests ({self.desk.rest.why_not})"
+                        why = UNREST.get(self.desk.rest.why_not) or "not for long enough"
+                        how = f"its own heading is measured once it rests ({why})"
                     text = f"All is written; {how} (at most {left_s:.0f} s more; you may stop here)."
                     self._context.show("heading", text, live=float(told))
                     told = True
@@ -222,10 +223,10 @@ class OwnHeading:
         yield from pause(self._context, self._sample_s + _LAG_S)
         self._look()
 
-    def note(self, time_s: float, error_deg: float, sigma_deg: float) -> None:
-        """Take one sample of the error."""
+    def note(self, time_s: float, error_deg: float, sigma_deg: float, yaw_deg: float) -> None:
+        """Take one sample of the error, and the yaw that had it."""
         self._latest_deg = error_deg
-        self.samples.append((time_s, error_deg, sigma_deg))
+        self.samples.append((time_s, error_deg, sigma_deg, yaw_deg))
 
     def restarted(self) -> None:
         """Begin anew after a restart of the autopilot."""
@@ -259,12 +260,12 @@ class OwnHeading:
     def error_deg(self) -> float:
         """Return the error as it is now, or was before an intervention; nan where it was never measured.
 
-        Where it goes to and fro, the latest sample counts as far as it is no noise.
+        Where it goes to and fro, the latest sample counts as far as that is known to be no noise.
         """
         wander_deg, mean_deg = self.wander_deg, self._mean_deg
-        if not wander_deg > 0.0:
+        if wander_deg == 0.0:
             return self._latest_deg
-        share = wander_deg**2 / (wander_deg**2 + self.samples[-1][2] ** 2)
+        share = wander_deg**2 / (wander_deg**2 + self.samples[-1][2] ** 2) if wander_deg > 0.0 else 0.0
         return mean_deg + share * (self._latest_deg - mean_deg)
 
     @property
@@ -277,22 +278,24 @@ class OwnHeading:
     def wander_deg(self) -> float:
         """Return by how much the error goes to and fro, 1 sigma; nan while that was not seen for long enough.
 
-        ArduPilot's does not. What the samples scatter by of their own noise is none of it.
+        ArduPilot's does not. What the samples scatter by of their own noise is none of it, nor what they do
+        beyond the yaw that is told: where the vehicle stands, that is the level's.
         """
         if not self.desk.dialect.loads_disarmed:
             return 0.0
         recent = self._recent(_WANDER_S, _WANDER_AT_LEAST_S)
         if recent is None:
             return math.nan
-        _, error, sigma = recent
+        _, error, sigma, yaw = recent
         # What noise alone scatters by, by chance, is not taken for nothing: it tells no less than its doubt.
         noise2 = float((sigma**2).mean())
-        return math.sqrt(max(float(error.var()) - noise2, noise2 / len(error)))
+        told2 = float(np.var((yaw - yaw[0] + 180.0) % 360.0))
+        return math.sqrt(max(min(float(error.var()) - noise2, told2), noise2 / len(error)))
 
     @property
     def _mean_deg(self) -> float:
         """Return what the error goes to and fro about."""
-        recent = self._recent(_WANDER_S, _WANDER_AT_LEAST_S)
+        recent = self._recent(_WANDER_S, 0.0)
         return self._latest_deg if recent is None else float(recent[1].mean())
 
     @property
@@ -314,7 +317,7 @@ class OwnHeading:
         return ekf is not None and ekf.compass_variance == 0.0
 
     def _recent(self, longest_s: float, least_s: float) -> FloatArray | None:
-        """Return times before the last sample, errors, sigmas, (3, N); None where they span too little."""
+        """Return times before the last sample, errors, sigmas, yaws, (4, N); None for too little."""
         if not self.samples:
             return None
         samples = np.asarray(self.samples).T
@@ -412,8 +415,7 @@ class OwnHeading:
         return f"{how}, {_BELIEVING}" if how else _BELIEVING
 
     def _switch(self) -> Script[str]:
-        desk = self.desk
-        how = yield from desk.dialect.take_compass_yaw(desk.context, desk.parameters, self.flying)
+        how = yield from self.desk.dialect.take_compass_yaw(self._context, self.desk.parameters, self.flying)
         self._has_a_way = bool(how)
         return how
 
@@ -429,7 +431,7 @@ class OwnHeading:
         if world is None or self.result is None:
             return
         try:
-            error, sigma = yaw_error_rad(track, self.result, world, start_s, end_s, self._turned)
+            told = yaw_error_rad(track, self.result, world, start_s, end_s, self._turned)
         except (PoorCalibration, KeyError):
             return
-        self.note(end_s, math.degrees(error), math.degrees(sigma))
+        self.note(end_s, *map(math.degrees, told))
