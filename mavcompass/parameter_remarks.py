@@ -130,5 +130,4 @@ def _px4(parameters: Mapping[str, float], instance: int) -> list[Remark]:
             " own routine, which stores the id."
         )
         remarks.append(Remark(text))
-    remarks += _same_id(ids, instance, partial(px4_name, "ID"))
-    return remarks
+    return remarks + _same_id(ids, instance, partial(px4_name, "ID"))

@@ -167,7 +167,7 @@ class ArduPilotDialect(CompassDialect):
         return tuple(sorted(changes, key=lambda change: "OFS" in change.name))
 
     def judge_compass(
-        self, before: Mapping[str, float], after: Mapping[str, float], instance: int
+        self, before: Mapping[str, float], after: Mapping[str, float], instance: int, watched: bool
     ) -> Judgement:
         """Check what a compass would hold: reasons against it, and what a person should know."""
         label, naming, rules = f"Compass {instance}", ardupilot_naming(after), self.rules
@@ -184,8 +184,7 @@ class ArduPilotDialect(CompassDialect):
         if not any(after.get(ardupilot_name(q, instance, naming), 0.0) for q in _OFFSETS):
             refusals.append(f"{label}: offsets of exactly zero mean 'not calibrated' to the firmware.")
         more_refusals, more_remarks = _about_mounting(before, after, instance)
-        refusals, remarks = refusals + more_refusals, remarks + more_remarks
-        return refusals, remarks
+        return refusals + more_refusals, remarks + more_remarks
 
     def uncommitted(
         self, before: Mapping[str, float], after: Mapping[str, float], judged: Iterable[int]

@@ -85,9 +85,12 @@ class CompassDialect(Dialect):
 
     @abstractmethod
     def judge_compass(
-        self, before: Mapping[str, float], after: Mapping[str, float], instance: int
+        self, before: Mapping[str, float], after: Mapping[str, float], instance: int, watched: bool
     ) -> Judgement:
-        """Check what a compass would hold: reasons against it, and what a person should know."""
+        """Check what a compass would hold: reasons against it, and what a person should know.
+
+        `watched` is what a calibration writes, which sees to it that the autopilot takes it over.
+        """
 
     def in_order(self, changes: tuple[Change, ...]) -> tuple[Change, ...]:
         """Put changes in the order of writing, which is undone from its end."""
@@ -207,7 +210,7 @@ class CompassDialect(Dialect):
             if instance not in there:
                 doubts.append(self.absent(instance))
                 continue
-            against, notes = self.judge_compass(parameters, after, instance)
+            against, notes = self.judge_compass(parameters, after, instance, bool(touched))
             known = parameter_remarks(self.autopilot, after, instance)
             doubts += [*against, *(remark.text for remark in known if remark.forbids)]
             remarks += [*notes, *(remark.text for remark in known if not remark.forbids)]

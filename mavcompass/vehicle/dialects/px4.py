@@ -32,7 +32,7 @@ from mavcompass.vehicle.dialects.taking_over import load_px4, prompt_ekf2
 from mavcompass.vehicle.parameters.rules import check_correction
 from mavcompass.vehicle.parameters.values import Encoding, Parameter
 
-# PX4 loads a change of the offsets, of the diagonal, of the rest during the run only where it is longer.
+# PX4 loads a change of offsets, diagonal, rest during the run only where it is longer, or by `load_written`.
 _SMALLEST_LIVE_CHANGE_MGAUSS, _SMALLEST_LIVE_CHANGE = 5.0, 0.01
 # Turning a correction into body axes and back leaves this much, in gauss and as a factor.
 _ROUNDING = 1e-6
@@ -132,7 +132,7 @@ class PX4Dialect(CompassDialect):
         return tuple(sorted(changes, key=place))
 
     def judge_compass(
-        self, before: Mapping[str, float], after: Mapping[str, float], instance: int
+        self, before: Mapping[str, float], after: Mapping[str, float], instance: int, watched: bool
     ) -> Judgement:
         """Check what a compass would hold: reasons against it, and what a person should know."""
         label = f"Compass {instance}"
@@ -144,7 +144,7 @@ class PX4Dialect(CompassDialect):
             ("scales", np.subtract(new.diagonals, old.diagonals), _SMALLEST_LIVE_CHANGE),
             ("cross terms", np.subtract(new.off_diagonals, old.off_diagonals), _SMALLEST_LIVE_CHANGE),
         ):
-            if _ROUNDING < float(np.linalg.norm(moved)) <= smallest:
+            if not watched and _ROUNDING < float(np.linalg.norm(moved)) <= smallest:
                 remarks.append(f"{label}: the small change of the {what} takes effect at the next start.")
         return refusals, remarks
 

@@ -105,8 +105,9 @@ def test_what_a_person_should_know_is_said() -> None:
         return " ".join(DIALECT.plan(px4_parameters(**parameters), {1: correction}).remarks)
 
     assert "switched off" in remarks(CAL_MAG0_PRIO=0.0)
-    assert "next start" in remarks(FieldCorrection((-20.5, 130.0, -70.0)))
-    assert remarks() == ""
+    assert remarks() == "" == remarks(FieldCorrection((-20.5, 130.0, -70.0)))  # calibrate has it load that
+    (by_hand,) = DIALECT.plan_values(px4_parameters(), {"CAL_MAG0_XOFF": 0.018}).remarks
+    assert by_hand == "Compass 1: the small change of the offsets takes effect at the next start."
 
 
 def test_the_motor_term_in_force_stays_without_a_remark() -> None:
