@@ -366,7 +366,7 @@ class OwnHeading:
         return self.desk.dialect.prompt_estimator(self.desk.parameters, self.flying)
 
     def _may_help(self) -> bool:
-        """Tell whether taking the compass's yaw over leaves less error: not while it swings, nor without one.
+        """Tell whether taking the compass's yaw over leaves less error: not while it swings, or is unknown.
 
         An estimator that has slid off, or keeps a bias of its gyro, comes back slowly or not at all.
         """
@@ -374,7 +374,7 @@ class OwnHeading:
         falling = -self.slope_dps * math.copysign(1.0, self.error_deg)
         unlearned = falling > _UNLEARNED_PER_S * error_deg
         settled = abs(self.slope_dps) * _SWING_S < error_deg
-        may = self._has_a_way and not self.flying and not self.set_aside
+        may = self._has_a_way and not self.flying and not self.set_aside and not math.isnan(self.wander_deg)
         return may and error_deg > _STILL_WORTH_DEG and (unlearned or settled)
 
     def _put_right(self) -> Script[bool]:

@@ -166,7 +166,7 @@ def test_with_the_noise_of_px4s_own_simulator_it_takes_off_is_calibrated_with_a_
 ) -> None:
     noise, shown = SimulatorNoise(), list[str]()
     vehicle = SimulatedAutopilot(
-        "px4-copter", seed=4, armed=False, ready_s=2.0, calibration="old", effects=[noise]
+        "px4-copter", seed=5, armed=False, ready_s=2.0, calibration="old", effects=[noise]
     )
     vehicle.advance(5.0)
     before, before_deg = vehicle.firmware.reports.heartbeat(), heading_error_rms_deg(vehicle)
