@@ -114,7 +114,7 @@ class Level:
         self._standing = Standing()
         self._force2, self._rate2 = 0.1**2, math.radians(0.3) ** 2
         self._g_mps2 = _G
-        self._misfit = 1.0
+        self._misfit, self._put_off2 = 1.0, 0.0
         self._p = _uncorrelated(BIAS_SIGMA_RADPS**2)
 
     @property
@@ -281,7 +281,9 @@ class Level:
         # Noise of more than a step averages out what the steps hide. And what changed from one reading to the
         # next did so at any moment between them.
         hidden2 = _HIDDEN_RADPS**2 * _LEAST_RATE2 / self._rate2
-        doubt = ESTIMATOR_SIGMA_RAD**2 + (_YAW_DOUBT * abs(self._pushed) / _G) ** 2
+        # What it was put off by it takes back by and by.
+        self._put_off2 = max(self._put_off2 * fading, (_YAW_DOUBT * abs(self._pushed) / _G) ** 2)
+        doubt = ESTIMATOR_SIGMA_RAD**2 + self._put_off2
         step2, ((pushed2, _), (rolled2, yawed2)) = step_s * step_s, changes
         shaken2 = (self._force2 + pushed2 / 12.0) * step2 + _HIDDEN_MPS2**2 * step_s
         scaled2 = _SCALE**2 * dot(self._gyro, self._gyro)

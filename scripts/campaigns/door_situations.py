@@ -155,9 +155,8 @@ def loaded(made: SimulatedAutopilot, swing_a: float) -> SimulatedAutopilot:
     around, board = made.board.surroundings, made.board
 
     def surroundings() -> Any:
-        return replace(
-            around(), current_a=14.0 + swing_a * math.sin(2.0 * math.pi * board.now_us * 1e-6 / 17.0)
-        )
+        swing = swing_a * math.sin(2.0 * math.pi * board.now_us * 1e-6 / 17.0)
+        return around()._replace(current_a=14.0 + swing)
 
     board.surroundings = surroundings  # type: ignore[method-assign]
     return made
