@@ -249,13 +249,9 @@ def _write(action: str, source: str, file: Path | None, asked: Asked, output: Ou
     def consent(held: HeldParameters, plan: ParameterPlan) -> str | None:
         document.update(_head(action, source, held), **_plan_part(plan))
         _say_plan(output, held, plan)
-        return (
-            None
-            if asked.dry_run
-            else ""
-            if asked.yes
-            else f"Write {counted(len(plan.changes), 'parameter')}?"
-        )
+        if asked.dry_run or asked.yes:
+            return None if asked.dry_run else ""
+        return f"Write {counted(len(plan.changes), 'parameter')}?"
 
     def script(context: Context) -> Script[WriteReport]:
         return write_values(
@@ -302,7 +298,10 @@ def _say_plan(output: Output, held: HeldParameters, plan: ParameterPlan) -> None
     if plan.changes:
         _show_changes(output, plan.changes)
         if held.armed:
-            output.say("Note: the vehicle is armed; its heading will change while it is in use.")
+            then = "its heading will change while it is in use"
+            if held.dialect.loads_disarmed:
+                then = "it loads this on the ground, and may store its own over it: see then, and write again"
+            output.say(f"Note: the vehicle is armed; {then}.")
     for remark in plan.remarks:
         output.say(f"Note: {remark}")
 

@@ -355,4 +355,8 @@ def test_an_armed_vehicle_is_written_to_with_a_warning(
 ) -> None:
     hangar.autopilot = SimulatedAutopilot("rover", seed=1, armed=True)
     assert main(["params", "write", SOURCE, str(compass_file), "--yes"]) == 0
-    assert "the vehicle is armed" in capsys.readouterr().out
+    assert "the vehicle is armed; its heading will change" in capsys.readouterr().out
+    hangar.autopilot = SimulatedAutopilot("px4-copter", seed=1, armed=True)
+    compass_file.write_text("CAL_MAG0_XOFF,0.25\n")
+    assert main(["params", "write", SOURCE, str(compass_file), "--yes"]) == 0
+    assert "the vehicle is armed; it loads this on the ground" in capsys.readouterr().out
