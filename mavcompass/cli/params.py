@@ -300,7 +300,7 @@ def _say_plan(output: Output, held: HeldParameters, plan: ParameterPlan) -> None
         if held.armed:
             then = "its heading will change while it is in use"
             if held.dialect.loads_disarmed:
-                then = "it loads this on the ground, and may store its own over it: see then, and write again"
+                then = "it may store its own over this when it lands: write it again then, and restart it"
             output.say(f"Note: the vehicle is armed; {then}.")
     for remark in plan.remarks:
         output.say(f"Note: {remark}")

@@ -359,4 +359,4 @@ def test_an_armed_vehicle_is_written_to_with_a_warning(
     hangar.autopilot = SimulatedAutopilot("px4-copter", seed=1, armed=True)
     compass_file.write_text("CAL_MAG0_XOFF,0.25\n")
     assert main(["params", "write", SOURCE, str(compass_file), "--yes"]) == 0
-    assert "the vehicle is armed; it loads this on the ground" in capsys.readouterr().out
+    assert "its own over this when it lands: write it again then, and restart it" in capsys.readouterr().out
