@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 LINES = {
     "package gap": (13_875, 10_500),
     "package simulation": (7_860, 5_800),
-    "package attitude calibration heading": (9_524, 5_400),
+    "package attitude calibration heading": (9_527, 5_400),
     "package vehicle messages enums.py": (7_750, 5_200),
     "package procedure": (6_519, 4_400),
     "package service": (5_540, 4_100),

@@ -282,7 +282,7 @@ class Level:
         # next did so at any moment between them.
         hidden2 = _HIDDEN_RADPS**2 * _LEAST_RATE2 / self._rate2
         # What it was put off by it takes back by and by.
-        self._put_off2 = max(self._put_off2 * fading, (_YAW_DOUBT * abs(self._pushed) / _G) ** 2)
+        self._put_off2 += (1.0 - fading) * ((_YAW_DOUBT * abs(self._pushed) / _G) ** 2 - self._put_off2)
         doubt = ESTIMATOR_SIGMA_RAD**2 + self._put_off2
         step2, ((pushed2, _), (rolled2, yawed2)) = step_s * step_s, changes
         shaken2 = (self._force2 + pushed2 / 12.0) * step2 + _HIDDEN_MPS2**2 * step_s

@@ -211,8 +211,7 @@ def _as_mounted(
     With it come the reasons, if any, not to accept the compass so mounted either.
     """
     believed = [found.sources[i] for i in found.likeliest if i > 0 and found.sound[i] > RATHER_SOUND]
-    at_fault = 0 in found.blamed or not result.accepted
-    if not (believed and at_fault):
+    if not believed:
         return None
     recorded = Recorded(case.track, result.instance, case.earth, case.limits, windows=case.windows)
     # No other source can say more for a rotation than against another, at fault there and sound here.
@@ -227,12 +226,14 @@ def _as_mounted(
     best = max(trials, key=lambda trial: trial.log_evidence)
     alike = [angle_between(trial.rotation, best.rotation) < TURNED_RAD for trial in trials]
     share = np.exp([trial.log_evidence - best.log_evidence for trial in trials])
-    unsure_rad = BEYOND_CHANCE * math.radians(best.solved.heading_sigma_deg)
+    least_rad = BEYOND_CHANCE * math.radians(best.solved.heading_sigma_deg)
+    if 0 not in found.blamed:  # nothing but its own readings speak for a rotation
+        least_rad = max(TURNED_RAD, least_rad)
     if (
         np.linalg.det(best.rotation) < 0.0
         or share[alike].sum() < DOUBTED * share.sum()
         or best.found.sound[0] < RATHER_SOUND
-        or angle_between(best.rotation, np.eye(3)) < unsure_rad
+        or angle_between(best.rotation, np.eye(3)) < least_rad
     ):
         return None
     judged = _weighed(best.solved, best.evidence, best.found, case.limits)
