@@ -238,7 +238,8 @@ def judge_gyro(rate_radps: FloatArray, seen: Sequence[tuple[Sequence[float], flo
     bias_dps = float(np.degrees(np.linalg.norm(rate_radps.mean(axis=0) - moved)))
     warn, fail = (math.hypot(limit, 2.0 * sigma_dps) for limit in (0.7, 2.0))
     remedy = "Hold still and restart the autopilot, so that it learns the bias."
-    return _graded("gyro", bias_dps, warn, fail, f"The gyro drifts by {bias_dps:.2f} deg/s at rest.", remedy)
+    drift = f"{bias_dps:.2f} deg/s" + (f" (give or take {sigma_dps:.2f})" if turns else "")
+    return _graded("gyro", bias_dps, warn, fail, f"The gyro drifts by {drift} at rest.", remedy)
 
 
 def judge_level(acc: Series | None) -> CheckItem | None:
