@@ -264,7 +264,8 @@ class Level:
     def _predict(self, step_s: float, acc: Vector, ahead: complex, changes: Changes) -> None:
         push = complex(dot(self._x, acc), dot(self._y, acc))
         self._pushed += min(step_s / 0.1, 1.0) * (push - self._pushed)
-        self._standing = self._standing.feeling(push, step_s)
+        if self._upheld:
+            self._standing = self._standing.feeling(push, step_s)
         g = -dot(self.down, acc)
         # Its mean is gravity's, whatever moves: no climb goes on for ever.
         self._g_mps2 += min(step_s / LASTS_S, 1.0) * (g - self._g_mps2)

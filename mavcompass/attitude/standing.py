@@ -32,12 +32,13 @@ class Standing(NamedTuple):
 
     def feeling(self, force: complex, step_s: float) -> Standing:
         """Feel a force for a while."""
-        return self._replace(felt=self.felt + force * step_s, felt_s=self.felt_s + step_s)
+        felt, felt_s, looks, first, before = self
+        return Standing(felt + force * step_s, felt_s + step_s, looks, first, before)
 
     def leant(self, by: complex) -> Standing:
         """Turn the frame, in which all forces are others by so much then."""
-        felt = self.felt + by * self.felt_s
-        return self._replace(felt=felt, first=self.first + by, before=self.before + by)
+        felt, felt_s, looks, first, before = self
+        return Standing(felt + by * felt_s, felt_s, looks, first + by, before + by)
 
     def looked(self) -> Standing:
         """Begin the next look."""
