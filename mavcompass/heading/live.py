@@ -181,7 +181,7 @@ class LiveCompass:
             self._by_sector = self._doubt.by_direction(horizontal)
             self._scatter2 = self._doubt.scatter_mgauss**2 + _QUANTUM_SIGMA_MGAUSS**2
         toward = math.atan2(field[1], field[0]) / _TWO_PI
-        calibration = self._by_sector[int(toward * len(self._by_sector))]
+        calibration = self._by_sector[math.floor(toward * len(self._by_sector))]
         tilt = field[2] / horizontal * math.hypot(tilt, TILT_SIGMA_RAD)
         noise2 = self._scatter2 / (horizontal * horizontal)
         return min(math.sqrt(calibration * calibration + noise2 + tilt * tilt + late * late), math.pi)

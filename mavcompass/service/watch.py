@@ -376,6 +376,7 @@ _WORDS: dict[str, tuple[str, str, str]] = {  # short, sentence, remedy
     ),
 }
 
+_METHODS = {"step": "touch-up"}
 _SIDES = {"field": ("stronger", "weaker"), "course": ("right", "left")}  # of a positive and a negative value
 
 
@@ -384,7 +385,7 @@ def _finding(name: str, instance: int, value: float, limit: float, why: str) -> 
     filled_in = {"i": instance, "value": value, "size": abs(value), "side": side}
     short, text, remedy = (words.format(**filled_in, why=why) for words in _WORDS[name])
     severity: Severity = "bad" if abs(value) > _BAD_ABOVE * limit else "warning"
-    short, method = f"Compass {instance}: {short}"[:50], "touch-up" if name == "step" else ""
+    short, method = f"Compass {instance}: {short}"[:50], _METHODS.get(name, "")
     return Finding(name, instance, severity, short, text, remedy, value, limit, method)
 
 

@@ -107,6 +107,14 @@ def test_the_sigma_adds_calibration_noise_tilt_lag_and_what_the_world_cannot_exp
     assert sigma() == pytest.approx(math.sqrt(quantum2 + tilt2 + 0.02**2 / 3.0), rel=0.01)
 
 
+def test_iron_ahead_is_as_unsure_to_the_left_as_to_the_right() -> None:
+    level, compass, sigma = leaning(0.0, 0.0), LiveCompass(1), []
+    for k, toward in enumerate(np.radians([*range(0, 360, 5), -22.5, 22.5]).tolist()):
+        reading = (40.0 + 200.0 * math.cos(toward), 200.0 * math.sin(toward), 400.0)
+        sigma += [found.sigma_rad] if (found := compass.update(float(k), float(k), reading, level)) else []
+    assert sigma[-2] == pytest.approx(sigma[-1], rel=0.03) and sigma[-1] > 0.05
+
+
 def test_the_noise_is_that_of_the_strengths_about_their_sectors() -> None:
     level, chance, compass = leaning(0.0, 0.0), np.random.default_rng(5), LiveCompass(1)
     compass.calibration_sigma_rad = level.rate_radps = 0.0
