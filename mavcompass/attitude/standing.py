@@ -13,12 +13,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-# So long a mean is looked at.
-LOOK_S = 0.5
-# Of a rover that rolls out (ArduPilot 4.5.7's simulated one).
-_FADES_S = 2.0
-# An acceleration that stays, of what seems to stand.
-_STAYS_MPS2 = 0.01
+# So long a mean is looked at. A push fades as fast as a rover rolls out (ArduPilot 4.5.7's simulated one).
+# What seems to stand may keep so much of an acceleration.
+LOOK_S, _FADES_S, _STAYS_MPS2 = 0.5, 2.0, 0.01
 
 
 class Standing(NamedTuple):

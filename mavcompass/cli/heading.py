@@ -128,8 +128,9 @@ def command(
     else:
         # Where a person looks on, a simulated vehicle's time is theirs.
         speed = 1.0 if redrawn and is_live(sys.stdout) else None
-        rows = _live(source, address, instance, two_axis, rate_hz or 5.0, system, notes, speed)
-    chosen = _limited(rows, rate_hz or (None if recorded else 5.0), duration_s)
+        rate_hz = rate_hz or 5.0
+        rows = _live(source, address, instance, two_axis, rate_hz, system, notes, speed)
+    chosen = _limited(rows, rate_hz, duration_s)
     kept: list[dict[str, Any]] = []
     north = None
     with suppress(KeyboardInterrupt), dial(redrawn) as draw:  # Ctrl-C: the ordinary end of a live stream

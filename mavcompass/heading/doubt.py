@@ -83,9 +83,8 @@ class CalibrationDoubt:
         (along, across, down), strength = level_mgauss[strength >= 1.0].T, strength[strength >= 1.0]
         place = _place(along + 1j * across)
         values = (np.ones(along.size), along, across, down, strength, strength**2)
-        for column, weights in enumerate(values):
-            sums = np.bincount(place, weights, _SECTORS * _RINGS)
-            self._sums[..., column] += sums.reshape(_SECTORS, _RINGS)
+        sums = [np.bincount(place, weights, _SECTORS * _RINGS) for weights in values]
+        self._sums += np.stack(sums, axis=1).reshape(self._sums.shape)
 
     @property
     def scatter_mgauss(self) -> float:
@@ -101,13 +100,13 @@ class CalibrationDoubt:
         """Return where the iron may be by (D1), (P,), and how probable that is, once a field was seen."""
         weight = self._sums[..., 0]
         seen = self._sums[weight > np.maximum(_LEAST_SHARE * weight.sum(axis=1, keepdims=True), 1e-9)]
-        field = (seen[:, 1] + 1j * seen[:, 2]) / seen[:, 0]
+        field, strength = (seen[:, 1] + 1j * seen[:, 2]) / seen[:, 0], seen[:, 4] / seen[:, 0]
         usual, sigma, expected2 = _ANYWHERE_MGAUSS, _ANYWHERE_SIGMA_MGAUSS, max(self.sigma_mgauss, 1e-3) ** 2
-        shown, chance = seen[:, 4] / seen[:, 0] - usual, 2.0 * sigma
+        shown, chance = strength - usual, 2.0 * sigma  # which reach all places where people drive
         if self.world is not None:
             usual, sigma = self.world.horizontal_mgauss, math.hypot(*self.world.sigma_mgauss, _SITE_MGAUSS)
             vertical = float((seen[:, 3] / seen[:, 0]).mean()) - self.world.ned_mgauss[2]
-            shown, chance = np.append(seen[:, 4] / seen[:, 0] - usual, vertical), sigma
+            shown, chance = np.append(strength - usual, vertical), sigma
             expected2 /= 1.0 + shown.size
         # Iron is alike on all axes: what shows of it tells how much of it there may be unseen.
         expected2 += max(float((shown**2).sum()) / max(shown.size - 1, 1) - chance**2, 0.0)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mavcompass.calibration.observation import UNREST, latest_dwells
+from mavcompass.calibration.observation import latest_dwells, unrest
 from mavcompass.calibration.result import CalibrationResult, surest
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkError, PoorCalibration, Refused
@@ -207,8 +207,7 @@ class OwnHeading:
                     left_s = self._patience_s() - (self._context.now - began_s)
                     how = f"the autopilot still follows, {abs(self.error_deg):.1f} deg off now"
                     if not self.samples:
-                        why = UNREST.get(self.desk.rest.why_not) or "not for long enough"
-                        how = f"its own heading is measured once it rests ({why})"
+                        how = f"its own heading is measured once it rests ({unrest(self.desk.rest.why_not)})"
                     text = f"All is written; {how} (at most {left_s:.0f} s more; you may stop here)."
                     self._context.show("heading", text, live=float(told))
                     told = True

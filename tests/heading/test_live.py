@@ -99,9 +99,10 @@ def test_the_sigma_adds_calibration_noise_tilt_lag_and_what_the_world_cannot_exp
     level.rate_radps = -0.5  # 0.1 s late
     assert sigma() == pytest.approx(math.sqrt(known2 + 0.05**2), rel=0.01)
     level.rate_radps = 0.0
-    # 30 mG too strong, 30 mG too little down: as much is to be expected of the part that turns the heading.
+    # 30 mG too strong, 30 mG too little down: as much is to be expected of the part that turns the heading,
+    # about the ring of 170 mG on which it ends, seen 200 mG from its middle.
     compass.set_world(EarthField((170.0, 0.0, 430.0)))
-    assert sigma() == pytest.approx(math.hypot(30.0, 30.0) / 170.0, rel=0.1)
+    assert sigma() == pytest.approx(math.hypot(30.0, 30.0) / math.sqrt(200.0 * 170.0), rel=0.02)
     # As strong as it should be, the calibration is the likelier to be good.
     compass.set_world(EarthField((200.0, 0.0, 400.0)))
     assert sigma() == pytest.approx(math.sqrt(quantum2 + tilt2 + 0.02**2 / 3.0), rel=0.01)

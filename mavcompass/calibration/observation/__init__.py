@@ -1,8 +1,8 @@
 """What a calibration by turning looks at: where the vehicle stood still, how tilted, how far it turned."""
 
-from mavcompass.calibration.observation.detector import UNREST as UNREST
 from mavcompass.calibration.observation.detector import WHEELED as WHEELED
 from mavcompass.calibration.observation.detector import StillnessDetector as StillnessDetector
+from mavcompass.calibration.observation.detector import unrest as unrest
 from mavcompass.calibration.observation.dwells import Dwell as Dwell
 from mavcompass.calibration.observation.dwells import FourPositionData as FourPositionData
 from mavcompass.calibration.observation.dwells import Step as Step

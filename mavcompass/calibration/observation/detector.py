@@ -39,6 +39,11 @@ UNREST = {
 }
 
 
+def unrest(why_not: str) -> str:
+    """Say for a person why something does not count as still, by `Stillness.why_not` or in words already."""
+    return UNREST.get(why_not, why_not) or "not for long enough"
+
+
 @dataclass(frozen=True, slots=True)
 class Stillness:
     """Say whether a vehicle stands still.

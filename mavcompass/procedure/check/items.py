@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from mavcompass import messages as mav
-from mavcompass.calibration.observation import UNREST
+from mavcompass.calibration.observation import unrest
 from mavcompass.compass_parameters import px4_name
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
@@ -252,8 +252,7 @@ def judge_stillness(still: bool, why_not: str) -> CheckItem | None:
     """Warn where the vehicle never stood still; None where it did."""
     if still:
         return None
-    why_not = UNREST.get(why_not, why_not) or "not for long enough"
-    text = f"The vehicle did not stand still ({why_not}): the figures below are rough."
+    text = f"The vehicle did not stand still ({unrest(why_not)}): the figures below are rough."
     return CheckItem("stillness", "warn", text, "Put it down, let it come to rest and check again.")
 
 

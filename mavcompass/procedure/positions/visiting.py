@@ -15,7 +15,7 @@ from statistics import median
 from typing import ClassVar
 
 from mavcompass import messages as mav
-from mavcompass.calibration.observation import UNREST, StillnessDetector
+from mavcompass.calibration.observation import StillnessDetector, unrest
 from mavcompass.errors import LinkLost
 from mavcompass.messages import telemetry
 from mavcompass.procedure.script import Context, Script, nothing, pause
@@ -198,9 +198,7 @@ def wait_still(context: Context, rest: Rest, mover: Mover, settings: DwellSettin
                 )
             return False
         if not shown and rest.why_not and context.now > began_s + 1.0:
-            context.show(
-                "settle", f"Waiting until it stands still: {UNREST.get(rest.why_not, rest.why_not)}."
-            )
+            context.show("settle", f"Waiting until it stands still: {unrest(rest.why_not)}.")
             shown = True
         if context.now - held_s >= _HOLD_WHILE_SETTLING_S:
             mover.hold(context, settings.dwell_s)

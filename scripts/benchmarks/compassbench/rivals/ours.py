@@ -45,8 +45,8 @@ def track_of(case: Case) -> Track:
 def solve(case: Case, argument: str = "") -> Solution | Headings | Named:
     """Do what the task asks for; a refusal of the package is one here."""
     try:
-        found = {"": lambda of: solution(mavcompass.calibrate(track_of(of))), "heading": heading, "gap": gap}
-        return found[argument](case)
+        named = {"heading": heading, "gap": gap}
+        return named[argument](case) if argument else solution(mavcompass.calibrate(track_of(case)))
     except mavcompass.MavCompassError as refusal:
         raise Refusal(str(refusal)) from refusal
 
