@@ -87,7 +87,7 @@ class Desk:
     def chosen(self, wanted: tuple[int, ...]) -> tuple[int, ...]:
         """Return the compasses to work on, all where none is named.
 
-        Raises Refused for a missing one, and for one whose correction in force cannot be told.
+        Raises Refused for a missing one.
         """
         present = self.instances
         missing = [str(i) for i in wanted if i not in present]
@@ -96,10 +96,7 @@ class Desk:
                 f"The vehicle has no compass {', '.join(missing)}; it has {len(present) or 'none'}.",
                 "Choose with --compass, or connect and enable the compass.",
             )
-        chosen = wanted or present
-        for instance in chosen:
-            self.dialect.correction(self.parameters, instance)
-        return chosen
+        return wanted or present
 
     def imu_rates(self, instances: tuple[int, ...], rate_hz: float) -> dict[type[mav.Message], float]:
         """List the messages that carry these compasses; the first one's brings the gyro along."""

@@ -6,9 +6,11 @@ from typing import Any
 
 import pytest
 
-from mavcompass.errors import LinkLost, NoVehicle
+from mavcompass.errors import LinkLost, NoVehicle, Refused
+from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle import connection
+from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.connection import connect
 from mavcompass.vehicle.links.simulated import SimulatedLink
 
@@ -73,3 +75,10 @@ def test_it_is_the_vehicle_that_was_connected_that_is_calibrated(
     with connect("sim:rover") as vehicle:
         vehicle.calibrate()
     assert asked == [4]
+
+
+@pytest.mark.parametrize(("kind", "name"), [("rover", "COMPASS_DIA2_X"), ("px4-copter", "CAL_MAG0_ZOFF")])
+def test_a_parameter_that_is_not_a_number_is_named_before_anything_moves(kind: str, name: str) -> None:
+    vehicle = SimulatedAutopilot(kind, seed=7, parameters={name: float("nan")})
+    with pytest.raises(Refused, match=f"{name} of this vehicle: not a number"):
+        calibrate_on(SimulatedLink(vehicle, "sim"), "sim", CalibrateSettings())

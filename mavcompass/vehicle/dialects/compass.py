@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import re
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import NoReply, Refused
 from mavcompass.frames import FloatArray
 from mavcompass.parameter_remarks import parameter_remarks
+from mavcompass.printable import named
 from mavcompass.procedure.dialect import NOT_TURNED, Change, Dialect, ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.nameplate import Nameplate, read_nameplate
 from mavcompass.procedure.script import Context, Script, nothing
@@ -122,8 +122,19 @@ class CompassDialect(Dialect):
         return numbers((yield from self.read_typed(context, names)))
 
     def compass_parameters(self, context: Context) -> Script[dict[str, float]]:
-        """Read everything about all compasses, as `compass_parameters_typed` does."""
-        return numbers((yield from self.compass_parameters_typed(context)))
+        """Read everything about all compasses, as `compass_parameters_typed` does.
+
+        Raises Refused where one is not a number: what the firmware makes of its readings, nobody can tell.
+        """
+        held = numbers((yield from self.compass_parameters_typed(context)))
+        if not_numbers := [name for name, value in held.items() if not math.isfinite(value)]:
+            raise Refused(
+                f"{named(not_numbers)} of this vehicle: not a number. What it makes of the readings, nobody"
+                " can tell.",
+                "Set it anew in a ground station (offsets and motor terms to 0, DIA to 1), and restart the"
+                " autopilot.",
+            )
+        return held
 
     def nameplate(self, context: Context, parameters: Mapping[str, float]) -> Script[Nameplate]:
         """Find out which vehicle this is, once for all."""
@@ -162,8 +173,6 @@ class CompassDialect(Dialect):
         for instance, correction in sorted(corrections.items()):
             if instance not in present:
                 unwritable.append(self.absent(instance))
-            elif not _finite(correction):
-                unwritable.append(f"Compass {instance}: the correction holds a value that is not a number.")
             else:
                 held = {**parameters, **wanted}  # where another compass has just taken a set of free angles
                 try:
@@ -257,10 +266,4 @@ def no_answer() -> NoReply:
         "The vehicle is alive but answered no question about its compass parameters.",
         "Check that the link carries both ways and that the firmware has a compass; of a recording, that it"
         " begins at power-up (.BIN), or that parameters were read in it (.tlog).",
-    )
-
-
-def _finite(correction: FieldCorrection) -> bool:
-    return bool(
-        np.isfinite([*correction.offsets_mgauss, *correction.matrix.flat, *correction.motor_mgauss]).all()
     )

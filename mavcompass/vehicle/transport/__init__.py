@@ -1,5 +1,7 @@
 """Bytes to and from peers over UDP, TCP and serial ports, and the addresses that name them."""
 
+from __future__ import annotations
+
 from mavcompass.vehicle.transport.address import (
     VEHICLES,
     Address,
@@ -15,7 +17,6 @@ from mavcompass.vehicle.transport.address import (
     listening_address,
     parse_address,
 )
-from mavcompass.vehicle.transport.opening import open_transport
 from mavcompass.vehicle.transport.transport import Peer, Reconnect, Transport
 
 __all__ = [
@@ -37,3 +38,29 @@ __all__ = [
     "open_transport",
     "parse_address",
 ]
+
+
+def open_transport(address: WireAddress, reconnect: Reconnect | None = None) -> Transport:
+    """Open a port. Raises UsageError or NoVehicle."""
+    reconnect = Reconnect() if reconnect is None else reconnect
+    match address:
+        case UdpIn(host, port):
+            from mavcompass.vehicle.transport.udp import UdpTransport
+
+            return UdpTransport.listening(host, port)
+        case UdpOut(host, port):
+            from mavcompass.vehicle.transport.udp import UdpTransport
+
+            return UdpTransport.speaking_to(host, port)
+        case Tcp(host, port):
+            from mavcompass.vehicle.transport.tcp import connect_tcp
+
+            return connect_tcp(host, port, reconnect)
+        case TcpIn(host, port):
+            from mavcompass.vehicle.transport.tcp import TcpServerTransport
+
+            return TcpServerTransport(host, port)
+        case Serial(device, baud):
+            from mavcompass.vehicle.transport.serial import open_serial
+
+            return open_serial(device, baud, reconnect)
