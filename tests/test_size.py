@@ -13,15 +13,15 @@ LINES = {
     "package gap": (13_875, 10_500),
     "package simulation": (7_860, 5_800),
     "package attitude calibration heading": (9_530, 5_400),
-    "package vehicle messages enums.py": (7_750, 5_200),
-    "package procedure": (6_519, 4_400),
-    "package service": (5_540, 4_100),
+    "package vehicle messages enums.py": (7_755, 5_200),
+    "package procedure": (6_515, 4_400),
+    "package service": (5_432, 4_100),
     "package logs": (4_500, 3_600),
     "package cli": (4_090, 2_900),
-    "package": (67_057, 46_500),
-    "tests": (44_542, 29_000),
+    "package": (66_952, 46_500),
+    "tests": (44_541, 29_000),
     "scripts benchmarks/compassbench": (1_565, 1_000),
-    "scripts": (10_090, 4_400),
+    "scripts": (10_080, 4_400),
 }
 
 

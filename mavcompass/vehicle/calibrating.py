@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 
 from mavcompass.calibration import calibrate_compasses
 from mavcompass.calibration.result import CalibrationResult, Limits
 from mavcompass.earth_field import EarthField
-from mavcompass.procedure.calibrate import Found, Services, calibrate
+from mavcompass.procedure.calibrate import Found, Services, Solve, calibrate
 from mavcompass.procedure.positions import Window
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Ask, Machine, Show
@@ -40,19 +41,6 @@ def calibrate_on(
     return run(machine, link, on_show=on_show, on_ask=on_ask, stop=stop)
 
 
-def calibration_machine(
-    source: str, settings: CalibrateSettings, undo_directory: Path | None = None
-) -> Machine[CalibrationReport]:
-    """Build the machine, for those who drive it themselves."""
-    services = Services(
-        dialect_for=lambda autopilot: make_dialect(autopilot, source),
-        save_undo=undo_saver(source, undo_directory),
-        solve=solve,
-        cut_short=cut_short(undo_directory),
-    )
-    return Machine(lambda context: calibrate(context, services, settings))
-
-
 def solve(
     track: Track,
     instances: tuple[int, ...],
@@ -73,3 +61,20 @@ def solve(
         found=found,
     )
     return tuple(results.values())
+
+
+def calibration_machine(
+    source: str,
+    settings: CalibrateSettings,
+    undo_directory: Path | None = None,
+    solve: Solve = solve,
+    utc_now: Callable[[], datetime] = lambda: datetime.now(UTC),
+) -> Machine[CalibrationReport]:
+    """Build the machine, for those who drive it themselves, or have it solved elsewhere."""
+    services = Services(
+        dialect_for=lambda autopilot: make_dialect(autopilot, source),
+        save_undo=undo_saver(source, undo_directory, utc_now),
+        solve=solve,
+        cut_short=cut_short(undo_directory),
+    )
+    return Machine(lambda context: calibrate(context, services, settings))

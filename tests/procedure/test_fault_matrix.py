@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-SAMPLED = {"write": 8, "undo": 5, "calibrate": 3}
+SAMPLED = {"write": 8, "restore": 5, "calibrate": 3}
 
 
 @pytest.fixture(scope="module")

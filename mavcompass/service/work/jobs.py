@@ -6,17 +6,21 @@ import logging
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from mavcompass.errors import MavCompassError
+from mavcompass.calibration.result import CalibrationResult
+from mavcompass.errors import MavCompassError, Refused
 from mavcompass.messages import Incoming
+from mavcompass.procedure.check import CheckReport, CheckSettings, check
+from mavcompass.procedure.dialect import Dialect
+from mavcompass.procedure.learnt import write_learnt
 from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.report import CalibrationReport
-from mavcompass.procedure.script import Ask, Machine, Show
+from mavcompass.procedure.script import Ask, Context, Machine, Script, Show
 from mavcompass.service.config import ServiceConfig
 from mavcompass.service.view import VehicleView
 from mavcompass.service.watch import Finding
-from mavcompass.service.work import clock, procedures
+from mavcompass.service.work import clock
 from mavcompass.service.work.clock import utc_now
 from mavcompass.service.work.history import History
 from mavcompass.service.work.learning import Learning
@@ -25,12 +29,14 @@ from mavcompass.service.work.results import Recorder, Results, old_and_new, sigm
 from mavcompass.service.work.staleness import stale_findings
 from mavcompass.service.work.tasks import LEARNT, CalibrationRequest, CheckRequest, Task, UndoRequest
 from mavcompass.service.work.worker import Worker
+from mavcompass.vehicle.calibrating import calibration_machine, solve
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import PollAnswer, run
 from mavcompass.vehicle.link import Link
 from mavcompass.vehicle.parameters.transaction import restore_command
-from mavcompass.vehicle.parameters.undo import UndoRecord, load_record, newest_record
+from mavcompass.vehicle.parameters.undo import UndoRecord, load_record, newest_record, read_kept, undo_saver
 from mavcompass.vehicle.parameters.values import same_value
+from mavcompass.vehicle.session import HeldParameters, WriteReport, write_values
 from mavcompass.vehicle.stopping import StopRequest
 
 _log = logging.getLogger(__name__)
@@ -54,6 +60,7 @@ class Jobs:
         self.task: Task | None = None
         self._view: VehicleView | None = None
         self._config = config
+        self._source, self._undo_folder = config.vehicle.source, config.folder / "undo"
         self._history = history
         self._learning = learning
         self._hear = hear
@@ -79,15 +86,21 @@ class Jobs:
 
     def meet(self, link: Link, view: VehicleView, stop: StopRequest) -> None:
         """Read who the vehicle is and what its compasses are set to."""
-        machine = procedures.meet(view.identity, self._config.vehicle.source)
+
+        def script(context: Context) -> Script[tuple[Nameplate, dict[str, float]]]:
+            context.system, context.component = view.identity.system, view.identity.component
+            dialect = make_dialect(view.identity.autopilot, self._source)
+            parameters = yield from dialect.compass_parameters(context)
+            return (yield from dialect.nameplate(context, parameters)), parameters
+
         try:
-            met = self._drive(link, machine, None, stop)
+            vehicle, parameters = self._drive(link, Machine(script), None, stop)
         except MavCompassError as error:
             _log.info("the compass parameters could not be read yet: %s", error)
             return
-        view.key = met.vehicle.key
-        view.set_parameters(met.parameters)
-        note_interrupted_write(self._history, met.vehicle, met.parameters, self._config.folder / "undo")
+        view.key = vehicle.key
+        view.set_parameters(parameters)
+        note_interrupted_write(self._history, vehicle, parameters, self._undo_folder)
 
     def judge_calibrations(self, view: VehicleView) -> tuple[Finding, ...]:
         """Compare what is in force with the history, and say how good it is and what true north rests on."""
@@ -106,52 +119,72 @@ class Jobs:
         return tuple(findings)
 
     def _do(self, link: Link, view: VehicleView, task: Task) -> None:
-        config, request = self._config, task.request
-        source, system = config.vehicle.source, view.identity.system
-        undo_folder = config.folder / "undo"
-        if isinstance(request, CalibrationRequest):
-            request = replace(request, compasses=request.compasses or config.vehicle.compasses)
-            if request.method == LEARNT:
-                machine = self._write_learnt(request, view, task)
-            else:
-                machine = procedures.calibration(
-                    task,
-                    request,
-                    source,
-                    system,
-                    view.year,
-                    config.vehicle.rate_hz,
-                    self._worker,
-                    undo_folder,
-                )
-            self.recorder = recorder = Recorder()
-            self._results.calibrated(task, view, self._carry_out(link, view, machine, task), recorder)
-        elif isinstance(request, CheckRequest):
-            checking = procedures.check(request, source, view, config.vehicle.rate_hz)
-            self._results.checked(task, view, self._carry_out(link, view, checking, task))
-        elif isinstance(request, UndoRequest):
-            undoing = procedures.undo(self._results.undo_path(request), source, system, undo_folder)
-            self._results.undone(task, view, self._carry_out(link, view, undoing, task))
+        match task.request:
+            case CalibrationRequest() as request:
+                machine = self._calibration(view, task, request)
+                self.recorder = recorder = Recorder()
+                self._results.calibrated(task, view, self._carry_out(link, view, machine, task), recorder)
+            case CheckRequest(turn=turn):
+                self._results.checked(task, view, self._carry_out(link, view, self._check(view, turn), task))
+            case UndoRequest() as request:
+                undoing = self._undoing(view, self._results.undo_path(request))
+                self._results.undone(task, view, self._carry_out(link, view, undoing, task))
 
-    def _write_learnt(
-        self, request: CalibrationRequest, view: VehicleView, task: Task
+    def _dialect(self, autopilot: str) -> Dialect:
+        return make_dialect(autopilot, self._source)
+
+    def _calibration(
+        self, view: VehicleView, task: Task, request: CalibrationRequest
     ) -> Machine[CalibrationReport]:
-        offered = self._learning.offers()
-        wanted = request.compasses or tuple(lesson.instance for lesson in offered)
-        task.results = tuple(
-            lesson.learnt.result
-            for lesson in offered
-            if lesson.learnt is not None and lesson.instance in wanted
+        """Build a calibration that is solved by the worker, or what writes what was learnt on the way."""
+        config = self._config.vehicle
+        request = replace(request, compasses=request.compasses or config.compasses)
+        settings = request.settings(view.identity.system, view.year, config.rate_hz)
+        if request.method != LEARNT:
+            self._worker.start()
+
+            def solve_there(*problem: Any) -> tuple[CalibrationResult, ...]:
+                task.results = self._worker.call(solve, *problem)
+                return task.results
+
+            return calibration_machine(self._source, settings, self._undo_folder, solve_there, clock.now)
+        offered = {o.instance: o.learnt.result for o in self._learning.offers() if o.learnt is not None}
+        results = task.results = tuple(
+            result for i, result in offered.items() if i in (request.compasses or offered)
         )
-        config = self._config
-        return procedures.write_learnt(
-            request,
-            task.results,
-            config.vehicle.source,
-            view.identity,
-            view.year,
-            config.vehicle.rate_hz,
-            config.folder / "undo",
+        if not results:
+            raise Refused(
+                "Nothing was learnt yet that would lower the heading error in force by the margin.",
+                "Drive or fly on through all headings, or calibrate by four positions.",
+            )
+        save = undo_saver(self._source, self._undo_folder, clock.now)
+        return Machine(lambda context: write_learnt(context, self._dialect, save, results, settings))
+
+    def _check(self, view: VehicleView, turn: Literal["none", "vehicle", "hand"]) -> Machine[CheckReport]:
+        north = {i: compass.north for i, compass in view.compasses.items() if compass.north is not None}
+        rate_hz = self._config.vehicle.rate_hz
+        settings = CheckSettings(turn, view.identity.system, rate_hz, view.year, north=north)
+        return Machine(lambda context: check(context, self._dialect, settings))
+
+    def _undoing(self, view: VehicleView, undo_file: Path) -> Machine[WriteReport]:
+        """Build what puts back what an undo file holds, as a transaction of its own."""
+        kept = read_kept(undo_file)
+
+        def wanted(held: HeldParameters, vehicle: Nameplate) -> Mapping[str, float]:
+            kept.refuse_other(vehicle)
+            return kept.values
+
+        save = undo_saver(self._source, self._undo_folder, clock.now)
+        return Machine(
+            lambda context: write_values(
+                context,
+                self._source,
+                wanted,
+                save,
+                checked=False,
+                consent=lambda held, plan: "",
+                system=view.identity.system,
+            )
         )
 
     def _carry_out(self, link: Link, view: VehicleView, machine: Machine[Any], task: Task) -> Any:

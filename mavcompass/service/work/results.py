@@ -28,6 +28,7 @@ from mavcompass.service.work.clock import utc_now
 from mavcompass.service.work.history import Entry, History
 from mavcompass.service.work.tasks import CalibrationRequest, Task, UndoRequest
 from mavcompass.service.work.worker import Worker, write_calibration_report
+from mavcompass.vehicle.session import WriteReport
 from mavcompass.vehicle.wire import FrameWriter
 
 _log = logging.getLogger(__name__)
@@ -145,9 +146,10 @@ class Results:
         ok = report.verdict != "fail"
         task.finish(ok, document, self._record(task, view, ok, report.summary(), document, compasses))
 
-    def undone(self, task: Task, view: VehicleView, outcome: WriteOutcome) -> None:
-        """Record that an undo file was put back."""
+    def undone(self, task: Task, view: VehicleView, report: WriteReport) -> None:
+        """Record that an undo file was put back; a vehicle that held its values already was sent nothing."""
         assert isinstance(task.request, UndoRequest)
+        outcome = report.outcome or WriteOutcome(verified=True, undo_file=None, values={})
         document: dict[str, Any] = {
             "schema": "mavcompass.undone/1",
             "verified": outcome.verified,

@@ -14,12 +14,14 @@ from mavcompass.calibration.methods import method_names
 from mavcompass.calibration.result import BY_EYE_SIGMA_RAD, TrueHeading
 from mavcompass.errors import MavCompassError, Refused
 from mavcompass.heading.live import Heading
+from mavcompass.procedure.motion import Permissions
+from mavcompass.procedure.positions import DwellSettings
 from mavcompass.procedure.script import Ask, Show
+from mavcompass.procedure.settings import CalibrateSettings, Writing
 from mavcompass.service.models import Compass, checked
 from mavcompass.service.work.history import Kind
 from mavcompass.vehicle.stopping import StopRequest
 
-Writing = Literal["ask", "yes", "never"]
 Motion = Literal["auto", "vehicle", "hand"]
 State = Literal["waiting", "running", "asking", "done", "failed"]
 Origin = Literal["http", "mavlink"]
@@ -94,12 +96,27 @@ class CalibrationRequest:
 
     kind: ClassVar[Kind] = "calibration"
 
-    @property
-    def true_heading(self) -> TrueHeading | None:
-        """Return the heading that was given, if one was."""
-        if self.true_heading_deg is None:
-            return None
-        return TrueHeading(math.radians(self.true_heading_deg), math.radians(self.true_heading_sigma_deg))
+    def settings(self, system: int, year: float, rate_hz: float) -> CalibrateSettings:
+        """Return what it asks of the procedure, on a vehicle of this system id."""
+        heading_deg, sigma_rad = self.true_heading_deg, math.radians(self.true_heading_sigma_deg)
+        return CalibrateSettings(
+            instances=self.compasses,
+            method=self.method,
+            true_heading=None if heading_deg is None else TrueHeading(math.radians(heading_deg), sigma_rad),
+            max_heading_error_deg=self.max_error_deg,
+            motion=self.motion,
+            permissions=Permissions(
+                self.set_mode, self.arm, self.takeoff_m or 0.0, self.land, exempt=self.writing
+            ),
+            positions=self.positions,
+            writing=self.writing,
+            system=system,
+            rate_hz=rate_hz,
+            year=year,
+            orientation=self.orientation,
+            rewrite=self.rewrite,
+            dwell=DwellSettings(dwell_s=self.dwell_s),
+        )
 
 
 @dataclass(frozen=True, slots=True)

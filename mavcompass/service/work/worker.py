@@ -68,20 +68,6 @@ class Worker:
 # --- what is done there; each imports for itself, so that the service does not ----------------------
 
 
-def solve(
-    track: Any,
-    instances: tuple[int, ...],
-    windows: list[Any],
-    earth: Any,
-    settings: Any,
-    found: Any,
-) -> Any:
-    """Solve and judge compasses; see `vehicle.calibrating.solve`."""
-    from mavcompass.vehicle.calibrating import solve
-
-    return solve(track, instances, windows, earth, settings, found)
-
-
 def learn(pieces: list[Any], instances: tuple[int, ...], earth: Any, limit_deg: float) -> dict[int, Any]:
     """Tell what pieces of a recording show of each compass: a `Learnt`, or why there is none."""
     from mavcompass.calibration.calibrate import learn_compasses

@@ -18,7 +18,6 @@ from mavcompass.procedure.script import Machine
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.service import station as station_module
 from mavcompass.service.config import ServiceConfig, StorageConfig, VehicleConfig
-from mavcompass.service.work import procedures
 from mavcompass.service.work.history import History
 from mavcompass.service.work.tasks import CalibrationRequest, Request, Task, UndoRequest
 from mavcompass.simulation.physics.compasses import draw_compasses
@@ -110,7 +109,7 @@ def write(scene: Scene) -> bool:
 
 
 def restore(scene: Scene) -> bool:
-    """Put back what the first undo file holds."""
+    """Put back what the first undo file holds, as `params restore` and the service do."""
     return write_file(scene, first_undo(scene), checked=False)
 
 
@@ -130,13 +129,6 @@ def write_file(scene: Scene, path: Path, checked: bool) -> bool:
     with scene.link() as link:
         report = run(machine, link, on_show=scene.show)
     return report.outcome is not None and report.outcome.verified
-
-
-def undo(scene: Scene) -> bool:
-    """Put back what the first undo file holds, by the service's procedure."""
-    machine = procedures.undo(first_undo(scene), SOURCE, 1, scene.undo_folder)
-    with scene.link() as link:
-        return run(machine, link, on_show=scene.show).verified
 
 
 def serve(scene: Scene) -> bool:
@@ -187,8 +179,7 @@ WORKS = (
     Work("check", "rover", check, share=1.5, moves=True),
     Work("write", "rover", write, prepare_write, share=2.5),
     Work("write", "px4-copter", write, prepare_write, share=1.2),
-    Work("restore", "rover", restore, prepare_undo, share=1.5),
-    Work("undo", "rover", undo, prepare_undo, share=1.5),
+    Work("restore", "rover", restore, prepare_undo, share=3.0),
     Work("serve", "rover", serve, share=0.3, moves=True, goes_on=True),
     Work("serve undo", "rover", serve_undo, prepare_undo, share=0.7, goes_on=True),
 )
