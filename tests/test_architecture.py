@@ -63,8 +63,9 @@ ROWS = {
     "procedure": [
         {"calibrate", "check", "flying", "learnt"},
         {"autopilot_heading", "writing"},
-        {"desk", "report", "settings"},
+        {"report", "settings"},
         {"motion"},
+        {"desk"},
         {"positions"},
         {"turning", "commands"},
         {"modes", "dialect"},

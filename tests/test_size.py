@@ -10,15 +10,15 @@ ROOT = Path(__file__).parents[1]
 # At most so many lines now, and where they should get to. A number here falls with its room; who raises one
 # says why in the commit.
 LINES = {
-    "package gap": (13_875, 10_500),
-    "package simulation": (7_860, 5_800),
+    "package gap": (13_865, 10_500),
+    "package simulation": (7_858, 5_800),
     "package attitude calibration heading": (9_530, 5_400),
-    "package vehicle messages enums.py": (7_755, 5_200),
-    "package procedure": (6_515, 4_400),
+    "package vehicle messages enums.py": (7_753, 5_200),
+    "package procedure": (6_440, 4_400),
     "package service": (5_432, 4_100),
-    "package logs": (4_500, 3_600),
+    "package logs": (4_495, 3_600),
     "package cli": (4_090, 2_900),
-    "package": (66_952, 46_500),
+    "package": (66_875, 46_500),
     "tests": (44_541, 29_000),
     "scripts benchmarks/compassbench": (1_565, 1_000),
     "scripts": (10_080, 4_400),

@@ -21,7 +21,7 @@ from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.desk import Desk
 from mavcompass.procedure.dialect import CutShort, Dialect, Overrides, SaveUndo, WriteOutcome
 from mavcompass.procedure.motion import Mobility
-from mavcompass.procedure.positions import Mover, Window, prove, stood_since, turn_through, visit
+from mavcompass.procedure.positions import Mover, Window, dwell, prove, stood_since, turn_through, visit
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Ask, Context, Script, ask
 from mavcompass.procedure.settings import CalibrateSettings
@@ -152,16 +152,13 @@ class _Calibration:
     def calibrate(self) -> Script[CalibrationReport]:
         """Visit the positions, solve, write, prove; give the vehicle back however it ends."""
         desk, settings, finished = self.desk, self.settings, False
-        mobility = Mobility(
-            *(desk.identity, desk.state, desk.gyro, desk.rest),
-            *(settings.moved_by, settings.turn_by, settings.permissions, settings.limits),
-            *(self.overrides, settings.continuous),
-        )
+        wanted = (settings.moved_by, settings.turn_by, settings.permissions)
+        mobility = Mobility(desk, *wanted, self.overrides, settings.continuous)
         self.writer = writer = Writer(
             desk, self.overrides.save_undo, settings.writing == "ask", self.own.expect
         )
         try:
-            mover = yield from mobility.take_charge(desk.context, desk.parameters)
+            mover = yield from mobility.take_charge()
             if settings.continuous and not mover.by_itself:  # a person is told to stop
                 self.settings = settings = replace(settings, continuous=False)
             if settings.by_autopilot:
@@ -180,7 +177,7 @@ class _Calibration:
             if report.accepted and report.to_write and settings.writing != "never":
                 last = report.windows[-1]
                 if settings.continuous:
-                    last = yield from stood_since(desk.context, desk.rest, desk.gyro, last, settings.dwell)
+                    last = yield from stood_since(desk.context, mover, last, settings.dwell)
                 report = yield from writer.write(report)
                 if report.takes_effect_later:
                     report = report.noting(_UNPROVEN)
@@ -189,7 +186,7 @@ class _Calibration:
             finished = True
             return report
         finally:
-            yield from _whatever_comes(lambda hurried: mobility.end(desk.context, hurried or not finished))
+            yield from _whatever_comes(lambda hurried: mobility.end(hurried or not finished))
 
     def by_itself(self) -> Script[None]:
         """Have the autopilot calibrate by its own method; what it has stored by itself is put back."""
@@ -241,18 +238,8 @@ class _Calibration:
         """
         desk, settings = self.desk, self.settings
         go = turn_through if settings.continuous else visit
-        windows = yield from go(
-            desk.context,
-            desk.rest,
-            desk.gyro,
-            mover,
-            settings.planned,
-            settings.step_rad,
-            settings.dwell,
-            seen,
-            self.own.keep_up,
-            self.sureness_deg,
-        )
+        how = (settings.planned, settings.step_rad, settings.dwell)
+        windows = yield from go(desk.context, mover, *how, seen, self.own.keep_up, self.sureness_deg)
         yield from mover.release(desk.context)
         return windows
 
@@ -360,7 +347,7 @@ class _Calibration:
             enough = replace(settings.dwell, enough_deg=_PROOF_ENOUGH_DEG)
             if self.desk.gyro.broken_s > last.end_s and not settings.stands:
                 # While all was solved more may have come than the port keeps, and a copter turns in HOLD.
-                last = yield from self.desk.dwell(mover, enough, self.sureness_deg)
+                last = yield from dwell(context, mover, enough, self.sureness_deg)
             turned_rad = self.desk.gyro.angle_rad - last.turned_rad
             for _ in range(_PROOF_TURNS):
                 angle_rad = settings.step_rad
@@ -368,7 +355,7 @@ class _Calibration:
                     # What the autopilot has turned by itself, its heading being right now, counts.
                     angle_rad = _PROOF_SHARE * angle_rad - turned_rad
                 yield from mover.next(context, angle_rad, 1)
-                window = yield from self.desk.dwell(mover, enough, self.sureness_deg)
+                window = yield from dwell(context, mover, enough, self.sureness_deg)
                 yield from mover.release(context)
                 track, duration_s = self.desk.builder.build(), self.desk.duration_s()
                 # What the autopilot found does not depend on a further position.

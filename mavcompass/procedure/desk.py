@@ -10,7 +10,7 @@ from mavcompass.calibration.observation import WHEELED
 from mavcompass.errors import Refused
 from mavcompass.procedure.dialect import Dialect, describe_compasses
 from mavcompass.procedure.nameplate import Nameplate
-from mavcompass.procedure.positions import DwellSettings, Mover, Rest, Sureness, Window, dwell
+from mavcompass.procedure.positions import Rest
 from mavcompass.procedure.script import Context, Script, expect
 from mavcompass.procedure.turning import GyroAngle
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState, find_vehicle
@@ -102,12 +102,6 @@ class Desk:
         """List the messages that carry these compasses; the first one's brings the gyro along."""
         kinds = carriers(self.identity.autopilot)
         return {kinds[i]: rate_hz for i in sorted({1, *instances}) if i in kinds}
-
-    def dwell(
-        self, mover: Mover, settings: DwellSettings, sureness: Sureness | None = None
-    ) -> Script[Window]:
-        """Wait for rest and stand still; see `positions.dwell`."""
-        return (yield from dwell(self.context, self.rest, self.gyro, mover, settings, sureness))
 
     def duration_s(self) -> float:
         """Return how long the desk has been open."""

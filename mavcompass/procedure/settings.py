@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from mavcompass.calibration.result import TrueHeading
-from mavcompass.procedure.motion import Motion, Permissions, SafetyLimits
+from mavcompass.procedure.motion import Motion, Permissions
 from mavcompass.procedure.positions import DwellSettings
 from mavcompass.procedure.turning import TurnBy
 
@@ -59,7 +59,6 @@ class CalibrateSettings:
     rewrite: bool = False
     continuous: bool = False
     dwell: DwellSettings = field(default_factory=DwellSettings)
-    limits: SafetyLimits = field(default_factory=SafetyLimits)
 
     @property
     def solver(self) -> str:

@@ -18,7 +18,7 @@ from mavcompass.gap.rehearsal import read_stored
 from mavcompass.gap.result import SCHEMA as DIAGNOSIS_SCHEMA
 from mavcompass.logs import read_track
 from mavcompass.messages import Heartbeat, Incoming, ParamValue, RawImu, Statustext, message_id
-from mavcompass.procedure.motion import SafetyLimits
+from mavcompass.procedure.modes import ModeKeeper
 from mavcompass.procedure.motion.safety import MotionGuard
 from mavcompass.procedure.positions import Rest
 from mavcompass.procedure.turning import GyroAngle
@@ -71,7 +71,7 @@ def listeners(data: bytes) -> None:
     """Let everything that listens in a procedure hear messages with any numbers in them."""
     state, gyro, rest = VehicleState(), GyroAngle(), Rest()
     builder = TrackBuilder("ardupilot", "rover")
-    guard = MotionGuard(state, gyro, "copter", SafetyLimits())
+    guard = MotionGuard(state, gyro, "copter", ModeKeeper(state, "ardupilot"))
     for at in range(0, len(data) - 60, 60):
         message = decode(_HEARD[data[at] % len(_HEARD)], data[at + 1 : at + 60])
         if message is None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from bent_vehicles import KINDS, bent_vehicle, calibrated, untouched
 
-from mavcompass.procedure.desk import Desk
+from mavcompass.procedure import calibrate as procedure
 from mavcompass.procedure.positions import DwellSettings
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
@@ -50,13 +50,13 @@ def test_four_dwells_and_the_proof_turn_take_25_seconds(kind: str, within_s: flo
 def test_the_proof_stands_no_longer_than_it_takes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A third of what the turns may differ by is sure enough; a position's heading is to be surer."""
     asked = []
-    whole = Desk.dwell
+    whole = procedure.dwell
 
-    def dwell(self: Desk, mover: Any, settings: Any, sureness: Any = None) -> Any:
+    def dwell(context: Any, mover: Any, settings: Any, sureness: Any = None) -> Any:
         asked.append(settings)
-        return (yield from whole(self, mover, settings, sureness))
+        return (yield from whole(context, mover, settings, sureness))
 
-    monkeypatch.setattr(Desk, "dwell", dwell)
+    monkeypatch.setattr(procedure, "dwell", dwell)
     report = calibrated(bent_vehicle("rover", 2, 0.6), tmp_path)
     assert report.proof is not None and report.proof.passed
     assert asked == [replace(DwellSettings(), enough_deg=0.5)]

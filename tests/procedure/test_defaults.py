@@ -13,8 +13,7 @@ from mavcompass.calibration.result import DEFAULT_LIMITS
 from mavcompass.calibration.rigid import DEFAULT_PRIOR
 from mavcompass.procedure.check import CheckSettings
 from mavcompass.procedure.motion import Permissions
-from mavcompass.procedure.motion.safety import SafetyLimits
-from mavcompass.procedure.positions import DwellSettings, HandMover, Rest
+from mavcompass.procedure.positions import DwellSettings
 from mavcompass.procedure.script import Context
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.procedure.turning import GyroAngle
@@ -25,16 +24,12 @@ DWELL = {
     "dwell_s": 1.7, "shortest_s": 0.92, "enough_deg": 0.15, "longest_s": 6.0, "settle_s": 0.1,
     "patience_s": 3.0, "tilting_patience_s": 10.0,
 }  # fmt: skip
-SAFE = {
-    "silence_s": 0.8, "stick_us": 80, "tilt_rad": 35.0 * DEG, "rate_radps": 200.0 * DEG, "drift_m": 5.0,
-    "height_m": 1.5, "battery_percent": 10,
-}  # fmt: skip
 MAY = {"set_mode": False, "arm": False, "takeoff_m": 0.0}
 CALIBRATE = {
     "instances": (1,), "motion": "auto", "turn_by": "auto", "permissions": Permissions(), "positions": 4,
     "step_rad": 90.0 * DEG, "enough_deg": 0.3, "most_positions": 8, "writing": "ask", "system": None,
     "rate_hz": 25.0, "year": 2026.0, "reboot": False, "orientation": False,
-    "rewrite": False, "dwell": DwellSettings(), "limits": SafetyLimits(),
+    "rewrite": False, "dwell": DwellSettings(),
 }  # fmt: skip
 ASKED = {
     "compasses": (), "motion": "auto", "writing": "ask", "max_error_deg": 2.0, "positions": 4,
@@ -48,22 +43,16 @@ DWELT = {
     "roll_rad": 0.0, "pitch_rad": 0.0, "tilt_sigma_rad": 0.02 * DEG, "samples": 1, "turned_sigma_rad": 0.0,
     "unsteady_mgauss": 0.0,
 }  # fmt: skip
-BY_HAND = {
-    "near_rad": 12.0 * DEG, "apart_rad": 50.0 * DEG, "level_rad": 10.0 * DEG, "slope_patience_s": 15.0,
-    "patience_s": 180.0, "visited_rad": [],
-}  # fmt: skip
 
 
 @pytest.mark.parametrize(
     ("settings", "promised"),
     [
         (DwellSettings(), DWELL),
-        (SafetyLimits(), SAFE),
         (Permissions(), MAY),
         (CalibrateSettings(), CALIBRATE),
         (CalibrationRequest(), ASKED),
         (CheckSettings(), {"turn": "none", "system": None, "rate_hz": 25.0, "year": 2026.0}),
-        (HandMover(GyroAngle(), Rest()), BY_HAND),
         (DEFAULT_PRIOR, PRIOR),
         (DEFAULT_LIMITS, {"heading_deg": 2.0}),
         (Dwell(0.0, 1.0, np.zeros(3), np.eye(3)), DWELT),

@@ -13,19 +13,21 @@ from mavcompass.kinds import Kind
 from mavcompass.procedure.desk import Desk
 from mavcompass.procedure.motion import Mobility
 from mavcompass.procedure.motion.readiness import Permissions
-from mavcompass.procedure.motion.safety import MotionGuard, SafetyLimits
-from mavcompass.procedure.positions import HandMover, Rest, VehicleMover
-from mavcompass.procedure.script import Context, Machine, Tick, nothing
-from mavcompass.procedure.turning import GyroAngle, TurnBy
+from mavcompass.procedure.positions import HandMover, Mover, VehicleMover
+from mavcompass.procedure.script import Context, Machine, Script, Tick, nothing
+from mavcompass.procedure.turning import TurnBy
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState
 from mavcompass.track_builder import TrackBuilder
 
 
 def desk_of(
-    instances: tuple[int, ...] = (1, 2, 3), autopilot: str = "ardupilot", began_s: float = 0.0
+    instances: tuple[int, ...] = (1, 2, 3),
+    autopilot: str = "ardupilot",
+    began_s: float = 0.0,
+    kind: Kind = "rover",
 ) -> Desk:
     dialect: Any = SimpleNamespace(instances=lambda parameters, heard: instances)
-    identity, builder = VehicleIdentity(1, 1, autopilot, "rover"), TrackBuilder(autopilot, "rover")
+    identity, builder = VehicleIdentity(1, 1, autopilot, kind), TrackBuilder(autopilot, "rover")
     return Desk(Context(now=100.0), identity, dialect, {}, VehicleState(), builder, began_s)
 
 
@@ -67,18 +69,21 @@ class Charge:
     def __init__(
         self, kind: Kind = "rover", armed: bool = True, mode: int | None = None, **wishes: Any
     ) -> None:
-        self.state = VehicleState()
         beat = mav.Heartbeat(
             base_mode=128 if armed else 0, custom_mode=GUIDED.get(kind, 0) if mode is None else mode
         )
         place = mav.GlobalPositionInt(lat=470_000_000, lon=80_000_000, relative_alt=5000)
         self.heard = (beat, place)
-        self.mobility = Mobility(
-            VehicleIdentity(1, 1, "ardupilot", kind), self.state, GyroAngle(), Rest(), **wishes
-        )
+        self.desk = desk_of(kind=kind)
+        self.state = self.desk.state
+        self.mobility = Mobility(self.desk, **wishes)
 
-    def taken(self, parameters: dict[str, float] | None = None) -> Machine[Any]:
-        machine = Machine(lambda context: self.mobility.take_charge(context, parameters or {}))
+    def taken(self) -> Machine[Any]:
+        def script(context: Context) -> Script[Mover]:
+            self.desk.context = context
+            return self.mobility.take_charge()
+
+        machine = Machine(script)
         machine.step(Tick(0.0))
         assert not machine.done and machine.wake_at_s == 1.0  # it waits for a heartbeat
         for step in range(1, 40):
@@ -128,15 +133,19 @@ def test_what_nobody_knows_how_to_turn_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "function", "wished_m", "room_m"),
-    [("rover", 0.0, 5.0, 5.0), ("rover", 26.0, 5.0, 15.0), ("rover", 26.0, 20.0, 20.0),
-     ("rover", 25.0, 5.0, 5.0), ("boat", 0.0, 5.0, 15.0), ("boat", 26.0, 5.0, 40.0)],
+    ("kind", "function", "room_m"),
+    [("rover", 0.0, 5.0), ("rover", 26.0, 15.0), ("rover", 25.0, 5.0), ("boat", 0.0, 15.0),
+     ("boat", 26.0, 40.0)],
 )  # fmt: skip
-def test_what_cannot_pivot_has_its_room(kind: Kind, function: float, wished_m: float, room_m: float) -> None:
-    charge = Charge(kind, limits=SafetyLimits(drift_m=wished_m))
-    assert charge.taken({"SERVO1_FUNCTION": function}).error is None
-    guard = charge.mobility._guard
-    assert isinstance(guard, MotionGuard) and guard.limits.drift_m == room_m
+def test_what_cannot_pivot_has_its_room(kind: Kind, function: float, room_m: float) -> None:
+    charge = Charge(kind)
+    charge.desk.parameters["SERVO1_FUNCTION"] = function
+    (guard,) = charge.taken().context.watches
+    for beyond_m in (-0.5, 0.5):
+        lat = 470_000_000 + round((room_m + beyond_m) * 1e7 / 111_319.5)
+        there = mav.GlobalPositionInt(lat=lat, lon=80_000_000, relative_alt=5000)
+        charge.state.hear(mav.Incoming(5.0, 1, 1, there))
+        assert (guard(5.0) is not None) == (beyond_m > 0.0)
 
 
 @pytest.mark.parametrize(
@@ -154,7 +163,7 @@ def test_in_a_pilots_mode_only_the_pilots_controls_are_given_back(
     charge.mobility.mover = SimpleNamespace(  # type: ignore[assignment]
         halt=lambda _: done.append("halt"), release=lambda _: nothing(done.append("release"))
     )
-    machine = Machine(lambda _: charge.mobility.end(context, True))
+    machine = Machine(lambda _: charge.mobility.end(True))
     machine.step(Tick(5.0))
     assert machine.done and context.watches == []
     assert done == (["halt", "release"] if halts else ["release"])

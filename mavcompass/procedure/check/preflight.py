@@ -32,8 +32,8 @@ from mavcompass.procedure.check.report import CheckReport
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.desk import Desk, carriers
 from mavcompass.procedure.dialect import Dialect
-from mavcompass.procedure.motion import Mobility, Motion, SafetyLimits
-from mavcompass.procedure.positions import DwellSettings, Mover, VehicleMover, Window
+from mavcompass.procedure.motion import Mobility, Motion
+from mavcompass.procedure.positions import DwellSettings, Mover, Window, dwell
 from mavcompass.procedure.script import Context, Script
 from mavcompass.procedure.turning import strategies_for
 from mavcompass.steering import SteeringSource, steering_source
@@ -62,7 +62,6 @@ class CheckSettings:
     year: float = 2026.0
     # A vehicle that is on its way is waited for: a turn on the spot takes so long.
     dwell: DwellSettings = field(default_factory=lambda: DwellSettings(patience_s=10.0))
-    limits: SafetyLimits = field(default_factory=SafetyLimits)
     north: Mapping[int, TrueNorth] = field(default_factory=dict)
 
 
@@ -126,10 +125,10 @@ class _Checker:
         if asks:  # what forbids arming is told to who asks
             context.send(mav.CommandLong(context.system, context.component, MavCmd.RUN_PREARM_CHECKS))
         context.show("dwell", "Looking at the compasses at rest.", 0.3)
-        mover = VehicleMover(self.desk.gyro, ())  # nobody moves it yet
+        mover = Mover(self.desk.gyro, self.desk.rest)  # nobody moves it yet
         self.desk.rest.compasses = self.desk.instances
         with context.station(asks and self.desk.identity.autopilot == "px4"):
-            window = yield from self.desk.dwell(mover, self.settings.dwell)
+            window = yield from dwell(context, mover, self.settings.dwell)
         self.windows.append(window)
         track = self.desk.builder.build()
         self._judge_parameters()
@@ -279,7 +278,7 @@ class _Checker:
         self.desk.context.show("turn", "Turning by 90 deg.", 0.6)
         yield from self.mover.next(self.desk.context, _STEP_RAD, 1)
         self.desk.context.show("dwell", "Standing still after the turn.", 0.8)
-        self.windows.append((yield from self.desk.dwell(self.mover, self.settings.dwell)))
+        self.windows.append((yield from dwell(self.desk.context, self.mover, self.settings.dwell)))
         self.turned = True
         track = self.desk.builder.build()
         for reading in self.readings:
@@ -295,13 +294,10 @@ class _Checker:
             return "it is disarmed"
         elif not strategies_for(self.desk.identity.kind, self.desk.identity.autopilot):
             return f"this {self.desk.identity.autopilot} {self.desk.identity.kind} cannot turn on the spot"
-        desk = self.desk
         motion: Motion = "hand" if self.settings.turn == "hand" else "vehicle"
-        self.mobility = Mobility(
-            *(desk.identity, desk.state, desk.gyro, desk.rest), motion, limits=self.settings.limits
-        )
+        self.mobility = Mobility(self.desk, motion)
         try:
-            self.mover = yield from self.mobility.take_charge(self.desk.context, self.desk.parameters)
+            self.mover = yield from self.mobility.take_charge()
         except Refused as why:
             if self.settings.turn == "auto":
                 return why.what.rstrip(".")
@@ -320,7 +316,7 @@ class _Checker:
     def end(self) -> Script[None]:
         """Stop any motion and the watch over it, and give the vehicle back."""
         if self.mobility is not None:
-            yield from self.mobility.end(self.desk.context, in_a_hurry=not self.turned)
+            yield from self.mobility.end(in_a_hurry=not self.turned)
 
     def report(self) -> CheckReport:
         """Put the list together; which of several compasses is wrong, the turn may have told."""

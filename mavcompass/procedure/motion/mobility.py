@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from mavcompass import messages as mav
 from mavcompass.errors import Refused
 from mavcompass.kinds import HOVERING
+from mavcompass.procedure.desk import Desk
 from mavcompass.procedure.dialect import Overrides
 from mavcompass.procedure.modes import ModeKeeper
 from mavcompass.procedure.motion.readiness import Permissions, Readiness
@@ -27,7 +27,6 @@ from mavcompass.procedure.motion.safety import MotionGuard, SafetyLimits
 from mavcompass.procedure.positions import HandMover, Mover, Rest, VehicleMover
 from mavcompass.procedure.script import Context, Script, pause
 from mavcompass.procedure.turning import (
-    GyroAngle,
     TurnBy,
     TurnStrategy,
     channels_moved,
@@ -35,7 +34,7 @@ from mavcompass.procedure.turning import (
     turned_otherwise,
     vehicle_profile,
 )
-from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState, metres_from
+from mavcompass.procedure.vehicle_state import VehicleState, metres_from
 
 Motion = Literal["auto", "vehicle", "hand", "none"]
 
@@ -47,61 +46,55 @@ class Mobility:
     """Choose who turns the vehicle, watch over it while it turns itself, put back what was changed.
 
     Attributes:
-        motion, turn_by, permissions, limits: as the person wants it; see `CalibrateSettings`.
+        motion, turn_by, permissions: as the person wants it; see `CalibrateSettings`.
         overrides: with these it may set an arming check aside.
         continuous: it is to turn all the way round without a stop.
     """
 
-    identity: VehicleIdentity
-    state: VehicleState
-    gyro: GyroAngle
-    rest: Rest
+    desk: Desk
     motion: Motion = "auto"
     turn_by: TurnBy = "auto"
     permissions: Permissions = field(default_factory=Permissions)
-    limits: SafetyLimits = field(default_factory=SafetyLimits)
     overrides: Overrides | None = None
     continuous: bool = False
     mover: Mover | None = None
     _modes: ModeKeeper = field(init=False)
     _readiness: Readiness | None = None
-    _guard: MotionGuard | None = None
 
     def __post_init__(self) -> None:
-        self._modes = ModeKeeper(self.state, self.identity.autopilot)
+        self._modes = ModeKeeper(self.desk.state, self.desk.identity.autopilot)
 
-    def take_charge(self, context: Context, parameters: Mapping[str, float]) -> Script[Mover]:
+    def take_charge(self) -> Script[Mover]:
         """Return who turns the vehicle; from now on it is guarded where it turns itself.
 
         Raises Refused where it must not, or cannot, be turned in the way that was wished for.
         """
-        while self.state.heartbeat is None:
-            yield context.now + 1.0
+        desk, state, permissions = self.desk, self.desk.state, self.permissions
+        while state.heartbeat is None:
+            yield desk.context.now + 1.0
         if self.motion == "none":
-            self.mover = Mover()  # it stays where it stands
+            self.mover = Mover(desk.gyro, desk.rest)  # it stays where it stands
             return self.mover
-        motion, armed, permissions = self.motion, self.state.armed, self.permissions
+        motion, armed = self.motion, state.armed
         if motion == "hand" and armed:
             raise Refused("The vehicle is armed: turning it by hand is not safe.", "Disarm it and run again.")
         if motion == "hand" or (motion == "auto" and not armed and not permissions.arm):
-            self.mover = HandMover(self.gyro, self.rest)
+            self.mover = HandMover(desk.gyro, desk.rest)
             return self.mover
-        strategies = self._strategies(parameters)
+        strategies = self._strategies()
         controls = self.turn_by != "auto"
-        self._readiness = Readiness(
-            self.identity, self.state, self._modes, permissions, controls, self.overrides
-        )
-        yield from self._readiness.make(context)
-        if self.identity.kind in HOVERING:
-            yield from wait_until_calm(context, self.state, self.rest)
-        self._watch(context, parameters)
-        self.mover = VehicleMover(self.gyro, strategies)
+        self._readiness = Readiness(desk.identity, state, self._modes, permissions, controls, self.overrides)
+        yield from self._readiness.make(desk.context)
+        if desk.identity.kind in HOVERING:
+            yield from wait_until_calm(desk.context, state, desk.rest)
+        self._watch()
+        self.mover = VehicleMover(desk.gyro, desk.rest, strategies)
         return self.mover
 
-    def _strategies(self, parameters: Mapping[str, float]) -> tuple[TurnStrategy, ...]:
-        kind, autopilot = self.identity.kind, self.identity.autopilot
+    def _strategies(self) -> tuple[TurnStrategy, ...]:
+        kind, autopilot = self.desk.identity.kind, self.desk.identity.autopilot
         strategies = strategies_for(
-            kind, autopilot, self._is_ackermann(parameters), self.turn_by, self._modes, self.continuous
+            kind, autopilot, self._is_ackermann, self.turn_by, self._modes, self.continuous
         )
         if not strategies and self.continuous:
             raise Refused(
@@ -116,24 +109,25 @@ class Mobility:
             )
         return strategies
 
-    def _watch(self, context: Context, parameters: Mapping[str, float]) -> None:
-        limits = self.limits
-        kind, autopilot = self.identity.kind, self.identity.autopilot
-        profile = vehicle_profile(kind, autopilot, self._is_ackermann(parameters))
+    def _watch(self) -> None:
+        desk, limits = self.desk, SafetyLimits()
+        kind, autopilot = desk.identity.kind, desk.identity.autopilot
+        profile = vehicle_profile(kind, autopilot, self._is_ackermann)
         if profile is not None:
-            limits = limits.with_drift(max(limits.drift_m, profile.drift_m))
+            limits = replace(limits, drift_m=max(limits.drift_m, profile.drift_m))
         ours = channels_moved(kind, self.turn_by)
-        self._guard = MotionGuard(self.state, self.gyro, kind, limits, self._modes, ours)
-        self._guard.begin()
-        context.listeners.append(self._guard.hear)
-        context.watches.append(self._guard.check)
+        guard = MotionGuard(desk.state, desk.gyro, kind, self._modes, limits, ours)
+        guard.begin()
+        desk.context.listeners.append(guard.hear)
+        desk.context.watches.append(guard.check)
 
-    @staticmethod
-    def _is_ackermann(parameters: Mapping[str, float]) -> bool:
-        return parameters.get("SERVO1_FUNCTION") == _ACKERMANN_STEERING
+    @property
+    def _is_ackermann(self) -> bool:
+        return self.desk.parameters.get("SERVO1_FUNCTION") == _ACKERMANN_STEERING
 
-    def end(self, context: Context, in_a_hurry: bool) -> Script[None]:
+    def end(self, in_a_hurry: bool) -> Script[None]:
         """Stop any motion, end the watch, and give the vehicle back as it was taken."""
+        context = self.desk.context
         context.watches.clear()
         if self.mover is not None:
             # In a mode that somebody else chose our commands would only disturb, a mission for one;

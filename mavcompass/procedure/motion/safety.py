@@ -7,7 +7,7 @@ the procedure, which then commands zero rate, puts back what it changed and writ
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from mavcompass import messages as mav
 from mavcompass.enums import EkfFlag, MavState
@@ -53,27 +53,22 @@ class SafetyLimits:
     height_m: float = 1.5
     battery_percent: int = 10
 
-    def with_drift(self, drift_m: float) -> SafetyLimits:
-        """Return the same limits with another room to move in."""
-        return replace(self, drift_m=drift_m)
-
 
 @dataclass(slots=True)
 class MotionGuard:
     """Watch a vehicle from the moment motion begins; `hear` is a listener, `check` a watch.
 
     Attributes:
-        modes: knows which flight modes are ours; without it the one at the start is.
+        modes: knows which flight modes are ours.
         moved_by_us: RC channels that we move ourselves, so that they say nothing about the pilot.
     """
 
     state: VehicleState
     gyro: GyroAngle
     kind: Kind
+    modes: ModeKeeper
     limits: SafetyLimits = SafetyLimits()
-    modes: ModeKeeper | None = None
     moved_by_us: frozenset[int] = frozenset()
-    _mode: int = -1
     _sticks: tuple[int, ...] | None = None
     _place: mav.GlobalPositionInt | None = None
     _arrivals: list[float] = field(default_factory=list)
@@ -86,7 +81,6 @@ class MotionGuard:
 
         Raises Refused where the vehicle is not fit to be turned.
         """
-        self._mode = self.state.mode
         self._sticks = None
         self._place = self.state.place
         for reason in (
@@ -118,8 +112,9 @@ class MotionGuard:
             return "The vehicle fell silent: the link is lost."
         if not self.state.armed:
             return "The vehicle was disarmed."
-        if self._mode_is_foreign():
-            return f"The flight mode was changed to {self._mode_name()}."
+        if self.modes.is_foreign():
+            to = mode_name(self.kind, self.modes.autopilot, self.state.mode)
+            return f"The flight mode was changed to {to}."
         return (
             self._pilot()
             or self._power()
@@ -137,13 +132,6 @@ class MotionGuard:
             self._silent_s += min(now_s - self._looked_s, _LONGEST_STEP_S)
         self._looked_s = now_s
         return self._silent_s
-
-    def _mode_is_foreign(self) -> bool:
-        return self.state.mode != self._mode if self.modes is None else self.modes.is_foreign()
-
-    def _mode_name(self) -> str:
-        autopilot = "ardupilot" if self.modes is None else self.modes.autopilot
-        return mode_name(self.kind, autopilot, self.state.mode)
 
     def _pilot(self) -> str | None:
         now = _stick_values(self.state.sticks)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from mavcompass.procedure.positions.continuous import stood_since, turn_through
 from mavcompass.procedure.positions.movers import HandMover, VehicleMover
 from mavcompass.procedure.positions.proof import Proof, prove
 from mavcompass.procedure.positions.visiting import (
@@ -12,6 +11,8 @@ from mavcompass.procedure.positions.visiting import (
     Sureness,
     Window,
     dwell,
+    stood_since,
+    turn_through,
     visit,
 )
 

@@ -14,10 +14,15 @@ from typing import ClassVar
 
 from mavcompass.errors import LinkLost, PoorCalibration, Refused
 from mavcompass.frames import wrap_pi
-from mavcompass.procedure.positions.visiting import DwellSettings, Mover, Rest
+from mavcompass.procedure.positions.visiting import DwellSettings, Mover
 from mavcompass.procedure.script import Context, Script, pause
-from mavcompass.procedure.turning import GyroAngle, TurnStrategy
+from mavcompass.procedure.turning import TurnStrategy
 
+# So close to a wanted heading it need not be turned further; a position counts when it is so far from every
+# one before it; tilted further, it is to be levelled.
+_NEAR_RAD, _APART_RAD, _LEVEL_RAD = math.radians(12.0), math.radians(50.0), math.radians(10.0)
+# A person may take so long for one position; held still and tilted for so long, it stands on a slope.
+_PATIENCE_S, _SLOPE_PATIENCE_S = 180.0, 15.0
 _CLEARLY_RAD = math.radians(10.0)  # so much nearer the other way is worth a change of mind
 _POLL_S = 0.1
 # A prompt that changes faster than this cannot be read.
@@ -34,24 +39,8 @@ _WRONG_WAY = (
 
 @dataclass(slots=True)
 class HandMover(Mover):
-    """Prompt a person who turns the vehicle.
+    """Prompt a person who turns the vehicle; `visited_rad` are the gyro's angles of the positions so far."""
 
-    Attributes:
-        near_rad: so close to a wanted heading it need not be turned further.
-        apart_rad: a position counts when it is at least this far from every one before it.
-        level_rad: tilted further than this, the person is asked to level it.
-        slope_patience_s: held still and tilted for so long, it stands on a slope and is taken as it is.
-        patience_s: how long a person may take for one position.
-        visited_rad: the gyro's angles of the positions so far.
-    """
-
-    gyro: GyroAngle
-    rest: Rest
-    near_rad: float = math.radians(12.0)
-    apart_rad: float = math.radians(50.0)
-    level_rad: float = math.radians(10.0)
-    slope_patience_s: float = 15.0
-    patience_s: float = 180.0
     visited_rad: list[float] = field(default_factory=list)
     _said: str = ""
     _said_s: float = -math.inf
@@ -64,10 +53,10 @@ class HandMover(Mover):
         if not self.visited_rad:
             self.visited_rad.append(self.gyro.angle_rad)
         began_rad, began_s = self.gyro.angle_rad, context.now
-        while context.now < began_s + self.patience_s:
+        while context.now < began_s + _PATIENCE_S:
             self._need_telemetry(context, began_s)
             left_rad = self._left(angle_rad)
-            if abs(left_rad) <= self.near_rad:
+            if abs(left_rad) <= _NEAR_RAD:
                 context.show("turn", "Here.", cue=1.0)
                 return
             if self._is_new(self.gyro.angle_rad, angle_rad) and self.rest.for_s() > 1.5:
@@ -75,30 +64,25 @@ class HandMover(Mover):
             side, degrees = "right" if left_rad > 0.0 else "left", abs(math.degrees(left_rad))
             turned_deg = math.degrees(self.gyro.angle_rad - began_rad)
             text = f"Turn {side} {degrees:.0f} deg more."
-            self._prompt(
-                context,
-                text,
-                turned_deg=turned_deg,
-                remaining=float(remaining),
-                left_deg=math.degrees(left_rad),
-            )
+            left_deg = math.degrees(left_rad)
+            self._prompt(context, text, turned_deg=turned_deg, remaining=float(remaining), left_deg=left_deg)
             yield from pause(context, _POLL_S)
         raise PoorCalibration(
-            f"The vehicle was not turned to a new position within {self.patience_s:.0f} s.",
+            f"The vehicle was not turned to a new position within {_PATIENCE_S:.0f} s.",
             "Start again and turn it by about 90 degrees when asked.",
         )
 
-    def settle(self, context: Context, rest: Rest, settings: DwellSettings) -> Script[bool]:
+    def settle(self, context: Context, settings: DwellSettings) -> Script[bool]:
         """Prompt until the vehicle is level and rests.
 
         Raises PoorCalibration when it does not within the patience, LinkLost where telemetry ends.
         """
         began_s = context.now
-        while context.now < began_s + self.patience_s:
+        while context.now < began_s + _PATIENCE_S:
             self._need_telemetry(context, began_s)
-            tilt_rad, still_s = self.gyro.tilt_rad, rest.for_s()
-            level = tilt_rad <= self.level_rad
-            if still_s >= settings.settle_s and (level or still_s > self.slope_patience_s):
+            tilt_rad, still_s = self.gyro.tilt_rad, self.rest.for_s()
+            level = tilt_rad <= _LEVEL_RAD
+            if still_s >= settings.settle_s and (level or still_s > _SLOPE_PATIENCE_S):
                 return True
             if level:
                 self._prompt(context, f"Hold still {settings.dwell_s:.0f} s.")
@@ -106,7 +90,7 @@ class HandMover(Mover):
                 self._prompt(context, f"Tilted by {math.degrees(tilt_rad):.0f} deg: level it.", level=1.0)
             yield from pause(context, _POLL_S)
         raise PoorCalibration(
-            f"The vehicle was not held still within {self.patience_s:.0f} s ({rest.why_not or 'tilted'}).",
+            f"The vehicle was not held still within {_PATIENCE_S:.0f} s ({self.rest.why_not or 'tilted'}).",
             "Put it down, or rest it against something, and start again.",
         )
 
@@ -116,7 +100,7 @@ class HandMover(Mover):
 
     def accept(self, context: Context, turned_rad: float) -> bool:
         """Take a position; False for one that is where an earlier one was."""
-        if any(self._apart(turned_rad, seen) < self.apart_rad for seen in self.visited_rad):
+        if any(self._apart(turned_rad, seen) < _APART_RAD for seen in self.visited_rad):
             context.show("turn", "The vehicle stood here before: turn it further.", cue=1.0)
             return False
         self.visited_rad.append(turned_rad)
@@ -135,7 +119,7 @@ class HandMover(Mover):
         """List the headings that are still wanted: the steps of the circle, or either side of the last."""
         first, last = self.visited_rad[0], self.visited_rad[-1]
         around = round(2.0 * math.pi / abs(step_rad))
-        apart = min(self.apart_rad, 0.6 * abs(step_rad))
+        apart = min(_APART_RAD, 0.6 * abs(step_rad))
         free = [
             first + k * step_rad
             for k in range(1, around)
@@ -145,7 +129,7 @@ class HandMover(Mover):
 
     def _is_new(self, angle_rad: float, step_rad: float) -> bool:
         """Tell whether a heading is far from every position so far; from the last, once all are taken."""
-        apart = min(self.apart_rad, 0.6 * abs(step_rad))
+        apart = min(_APART_RAD, 0.6 * abs(step_rad))
         full = len(self.visited_rad) * abs(step_rad) >= 2.0 * math.pi - 1e-6
         before = self.visited_rad[-1:] if full else self.visited_rad
         return all(self._apart(angle_rad, seen) >= apart for seen in before)
@@ -174,9 +158,8 @@ class HandMover(Mover):
 class VehicleMover(Mover):
     """Let the vehicle turn itself; a strategy that does not move it is replaced by the next."""
 
-    gyro: GyroAngle
     by_itself: ClassVar[bool] = True
-    strategies: Sequence[TurnStrategy]
+    strategies: Sequence[TurnStrategy] = ()
     _current: int = 0
     _used: bool = False
     _moving: bool = False

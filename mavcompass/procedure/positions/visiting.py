@@ -20,6 +20,7 @@ from mavcompass.errors import LinkLost
 from mavcompass.messages import telemetry
 from mavcompass.procedure.script import Context, Script, nothing, pause
 from mavcompass.procedure.turning import GyroAngle
+from mavcompass.procedure.turning.steered import SLOW_RADPS
 
 _HOLD_EVERY_S = 0.5
 _HOLD_WHILE_SETTLING_S = 0.2
@@ -37,6 +38,8 @@ _RESTARTED_S = 5.0
 _CALM_AFTER_S = 1.0
 # What noise may leave of a dwell's means. Tilt counts twice and more in the heading, by the dip's tangent.
 _TILT_KNOWN_RAD, _FIELD_KNOWN_MGAUSS = math.radians(0.35), 2.0
+# After a turn a compass still averages it for a quarter second; then five readings of 10 Hz tell the heading.
+_AVERAGES_S, _STANDS_S, _GOES_ON_S = 0.25, 0.5, 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,23 +149,26 @@ class Rest:
         return 0.0 if self.still_since_s is None else self.time_s - self.still_since_s
 
 
+@dataclass(slots=True)
 class Mover:
     """Bring the vehicle to its next position; this one leaves it where it stands.
 
     Attributes:
+        gyro, rest: tell how far it has turned, and whether it stands still.
         by_itself: whether the vehicle turns itself, as far and as often as it is asked.
     """
 
-    __slots__ = ()
+    gyro: GyroAngle
+    rest: Rest
     by_itself: ClassVar[bool] = False
 
     def next(self, context: Context, angle_rad: float, remaining: int) -> Script[None]:
         """Turn by about `angle_rad`; the gyro's angle tells what came of it."""
         return nothing(None)
 
-    def settle(self, context: Context, rest: Rest, settings: DwellSettings) -> Script[bool]:
+    def settle(self, context: Context, settings: DwellSettings) -> Script[bool]:
         """Wait until the vehicle has rested for the settling time; False when it hunts on."""
-        return (yield from wait_still(context, rest, self, settings))
+        return (yield from wait_still(context, self, settings))
 
     def hold(self, context: Context, left_s: float) -> None:
         """Keep it there; called twice a second during a dwell that lasts another `left_s`."""
@@ -179,11 +185,12 @@ class Mover:
         return nothing(None)
 
 
-def wait_still(context: Context, rest: Rest, mover: Mover, settings: DwellSettings) -> Script[bool]:
+def wait_still(context: Context, mover: Mover, settings: DwellSettings) -> Script[bool]:
     """Wait until the vehicle has rested for the settling time; False when it hunts on.
 
     Raises LinkLost where no IMU messages come.
     """
+    rest = mover.rest
     began_s, heard_at = context.now, rest.time_s
     shown, held_s, tilted_s = False, -math.inf, -math.inf
     while rest.for_s() < settings.settle_s:
@@ -213,8 +220,6 @@ Sureness = Callable[[float, float], float]
 
 def dwell(
     context: Context,
-    rest: Rest,
-    gyro: GyroAngle,
     mover: Mover,
     settings: DwellSettings,
     sureness: Sureness | None = None,
@@ -224,8 +229,9 @@ def dwell(
 
     Where `sureness` tells, it ends as soon as the heading by it is sure enough. `meanwhile` is done once.
     """
+    rest, gyro = mover.rest, mover.gyro
     for _ in range(3):
-        resting = yield from mover.settle(context, rest, settings)
+        resting = yield from mover.settle(context, settings)
         start_s, angle, samples = rest.time_s, gyro.angle_rad, gyro.samples
         if meanwhile is not None:
             yield from meanwhile()
@@ -292,8 +298,6 @@ def _learn_bias(gyro: GyroAngle, angle_before_rad: float, seconds: float) -> Non
 
 def visit(
     context: Context,
-    rest: Rest,
-    gyro: GyroAngle,
     mover: Mover,
     count: int,
     step_rad: float,
@@ -316,17 +320,17 @@ def visit(
             context.show(
                 "turn", f"Turning to position {index + 1} of {wanted}.", (index - 0.5) / (wanted + 1.0)
             )
-            angle_rad = _next_turn(gyro, windows, count, step_rad)
+            angle_rad = _next_turn(mover.gyro, windows, count, step_rad)
             yield from mover.next(context, angle_rad, wanted - index)
         context.show(
             "dwell",
             f"Position {index + 1} of {wanted}: measuring.",
             index / (wanted + 1.0),
             position=float(index + 1),
-            turned_deg=math.degrees(gyro.angle_rad),
+            turned_deg=math.degrees(mover.gyro.angle_rad),
         )
         meanwhile = at_each if index + 1 < wanted else None
-        window = yield from dwell(context, rest, gyro, mover, settings, sureness, meanwhile)
+        window = yield from dwell(context, mover, settings, sureness, meanwhile)
         if mover.accept(context, window.turned_rad):
             windows.append(window)
     return windows
@@ -338,3 +342,52 @@ def _next_turn(gyro: GyroAngle, windows: list[Window], count: int, step_rad: flo
     wanted = windows[0].turned_rad + steps * step_rad
     share = (wanted - gyro.angle_rad) / step_rad
     return step_rad * max(0.5, min(1.5, share))
+
+
+# --- in one turn -----------------------------------------------------------------------------------
+
+
+def turn_through(
+    context: Context,
+    mover: Mover,
+    count: int,
+    step_rad: float,
+    settings: DwellSettings,
+    seen: Sequence[Window] = (),
+    at_first: Callable[[], Script[None]] | None = None,
+    sureness: Sureness | None = None,
+) -> Script[list[Window]]:
+    """Stand at the first position, then turn through all of them without a stop, back to the first.
+
+    The field's mean over any arc is exact once the gyro tells how far it turned inside (S1), so no stop is
+    needed for the iron. How late the compass is read is only a constant heading while the rate stays; what
+    shows as the rate changes is part of the fit.
+    With positions `seen` already it only turns on by one step. `at_first` is done while it stands;
+    `sureness` ends its dwell, see `dwell`.
+    """
+    windows, angle_rad, rest, gyro = list(seen), step_rad * (1 if seen else count), mover.rest, mover.gyro
+    if not windows:
+        context.show("dwell", "Measuring where it stands.", 0.0)
+        windows.append((yield from dwell(context, mover, settings, sureness, at_first)))
+    text = f"Turning by {abs(math.degrees(angle_rad)):.0f} deg without a stop."
+    context.show("turn", text, 1.0 / (count + 1.0), turned_deg=math.degrees(gyro.angle_rad))
+    began_s = rest.time_s
+    yield from mover.next(context, angle_rad, 1)
+    return [*windows, Window(began_s, rest.time_s, gyro.angle_rad, rested=False)]
+
+
+def stood_since(context: Context, mover: Mover, turn: Window, settings: DwellSettings) -> Script[Window]:
+    """Return the stand after a turn, as soon as it shows the heading: most of it has passed in solving.
+
+    What swings on is taken as it is after a while, its turning explained by the gyro. Raises LinkLost where
+    no IMU messages come.
+    """
+    since_s, began_s, rest, gyro = turn.end_s, math.inf, mover.rest, mover.gyro
+    while rest.time_s - since_s < _AVERAGES_S + _STANDS_S:
+        yield from pause(context, 0.05)
+        began_s = min(began_s, context.now)  # what came while all was solved is heard only now
+        if context.now > began_s + settings.patience_s + _GOES_ON_S:
+            raise LinkLost("The IMU messages stopped coming.", "Bring the link back and run again.")
+        if abs(gyro.rate_radps) > SLOW_RADPS and context.now < began_s + settings.patience_s:
+            since_s = rest.time_s
+    return Window(since_s + _AVERAGES_S, rest.time_s, gyro.angle_rad)

@@ -19,12 +19,14 @@ from mavcompass.procedure.vehicle_state import VehicleState
 
 @pytest.fixture(autouse=True)
 def in_manual(monkeypatch: pytest.MonkeyPatch) -> None:
-    def take_charge(context: Any, parameters: Any) -> Any:
-        yield context.now
-        raise Refused("The vehicle is in MANUAL.", "Switch it.")
+    def refusing(desk: Any, motion: str) -> Any:
+        def take_charge() -> Any:
+            yield desk.context.now
+            raise Refused("The vehicle is in MANUAL.", "Switch it.")
 
-    refusing = SimpleNamespace(take_charge=take_charge)
-    monkeypatch.setattr(preflight, "Mobility", lambda *args, **more: refusing)
+        return SimpleNamespace(take_charge=take_charge)
+
+    monkeypatch.setattr(preflight, "Mobility", refusing)
 
 
 def checker(turn: str, armed: bool = False, kind: str = "rover") -> _Checker:

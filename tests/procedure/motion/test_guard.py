@@ -7,6 +7,7 @@ import pytest
 from mavcompass import messages as mav
 from mavcompass.messages import Incoming
 from mavcompass.printable import printable
+from mavcompass.procedure.modes import ModeKeeper
 from mavcompass.procedure.motion.safety import MotionGuard
 from mavcompass.procedure.turning import GyroAngle
 from mavcompass.procedure.vehicle_state import VehicleState
@@ -16,9 +17,11 @@ ARMED = mav.Heartbeat(type=10, autopilot=3, base_mode=128, custom_mode=15, syste
 
 def guarded(lat: int, lon: int) -> tuple[VehicleState, MotionGuard]:
     state = VehicleState()
-    guard = MotionGuard(state, GyroAngle(), "rover")
+    modes = ModeKeeper(state, "ardupilot")
+    guard = MotionGuard(state, GyroAngle(), "rover", modes)
     for message in (ARMED, mav.GlobalPositionInt(lat=lat, lon=lon)):
         state.hear(Incoming(0.0, 1, 1, message))
+    modes.accept_present()
     guard.begin()
     return state, guard
 

@@ -41,9 +41,11 @@ class Scene:
 
     def __init__(self, kind: Kind, *said: mav.Message, ours: frozenset[int] = frozenset()) -> None:
         self.state, self.gyro, self.now_s = VehicleState(), GyroAngle(), 0.0
-        self.guard = MotionGuard(self.state, self.gyro, kind, moved_by_us=ours)
+        modes = ModeKeeper(self.state, "ardupilot")
+        self.guard = MotionGuard(self.state, self.gyro, kind, modes, moved_by_us=ours)
         for message in (ARMED, place(), CENTRED, *said):
             self.state.hear(Incoming(0.0, 1, 1, message))
+        modes.accept_present()
         self.guard.begin()
         assert self.guard.check(0.0) is None
 
@@ -158,7 +160,7 @@ def test_what_our_own_computer_slept_through_is_no_silence() -> None:
 def test_a_mode_that_px4_was_changed_to_is_named() -> None:
     state, px4 = VehicleState(), mav.Heartbeat(base_mode=128, custom_mode=6 << 16)
     modes = ModeKeeper(state, "px4")
-    guard = MotionGuard(state, GyroAngle(), "copter", modes=modes)
+    guard = MotionGuard(state, GyroAngle(), "copter", modes)
     state.hear(Incoming(0.0, 1, 1, px4))
     modes.accept_present()
     guard.begin()

@@ -13,7 +13,7 @@ from bent_vehicles import calibrated
 
 from mavcompass import messages as mav
 from mavcompass.errors import LinkLost, PoorCalibration, Refused
-from mavcompass.procedure.positions import DwellSettings, Rest, Window, stood_since
+from mavcompass.procedure.positions import DwellSettings, Mover, Rest, Window, stood_since
 from mavcompass.procedure.script import Context, Machine, Script, Tick
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.procedure.turning import GyroAngle, strategies_for
@@ -86,7 +86,7 @@ def stand(rates_deg_s: list[float], until_s: float = 8.0) -> Window:
         while not gyro.samples:
             yield context.now + 0.1
         turn = Window(-9.0, rest.time_s, 0.0, rested=False)
-        return (yield from stood_since(context, rest, gyro, turn, DwellSettings()))
+        return (yield from stood_since(context, Mover(gyro, rest), turn, DwellSettings()))
 
     machine = Machine(script)
     machine.step(Tick(10.0))

@@ -48,7 +48,7 @@ class Person:
         return Machine(lambda context: self.mover.next(context, step_deg * DEG, 2))
 
     def settle(self) -> Machine[Any]:
-        return Machine(lambda context: self.mover.settle(context, self.rest, DwellSettings(settle_s=0.5)))
+        return Machine(lambda context: self.mover.settle(context, DwellSettings(settle_s=0.5)))
 
 
 def test_the_way_is_told_until_it_is_near() -> None:

@@ -34,13 +34,13 @@ def settle(
 ) -> tuple[float, bool, list[str]]:
     """Move a vehicle until a time, then keep it still: how long it waits, whether it rests, what is said."""
     rest = Rest()
-    mover = VehicleMover(GyroAngle(), ())
+    mover = VehicleMover(GyroAngle(), rest)
     shown: list[str] = []
 
     def script(context: Context) -> Script[tuple[float, bool]]:
         context.listeners.append(rest.hear)
         began_s = context.now
-        rests = yield from wait_still(context, rest, mover, SETTINGS)
+        rests = yield from wait_still(context, mover, SETTINGS)
         return context.now - began_s, rests
 
     machine = Machine(script)
@@ -76,8 +76,7 @@ def test_what_tilts_to_and_fro_is_given_more_time() -> None:
 
 
 def test_without_imu_messages_the_link_counts_as_lost() -> None:
-    rest = Rest()
-    machine = Machine(lambda context: wait_still(context, rest, VehicleMover(GyroAngle(), ()), SETTINGS))
+    machine = Machine(lambda context: wait_still(context, VehicleMover(GyroAngle(), Rest()), SETTINGS))
     for tenth in range(60):
         machine.step(Tick(0.1 * tenth))
     assert isinstance(machine.error, LinkLost)
@@ -85,11 +84,11 @@ def test_without_imu_messages_the_link_counts_as_lost() -> None:
 
 def test_a_dwell_that_was_not_heard_begins_anew() -> None:
     rest, gyro = Rest(), GyroAngle()
-    mover = VehicleMover(gyro, ())
+    mover = VehicleMover(gyro, rest)
 
     def script(context: Context) -> Script[Window]:
         context.listeners += [rest.hear, gyro.hear]
-        return (yield from dwell(context, rest, gyro, mover, DwellSettings()))
+        return (yield from dwell(context, mover, DwellSettings()))
 
     machine = Machine(script)
     for step in range(400):

@@ -12,9 +12,7 @@ import pytest
 from mavcompass import messages as mav
 from mavcompass.errors import LinkLost, Refused
 from mavcompass.procedure.positions import DwellSettings, Mover, Rest, VehicleMover, Window, dwell, visit
-from mavcompass.procedure.positions.visiting import (
-    _next_turn,
-)
+from mavcompass.procedure.positions.visiting import _next_turn
 from mavcompass.procedure.script import Context, Machine, Script, Show, Tick, nothing
 from mavcompass.procedure.turning import GyroAngle
 
@@ -37,7 +35,6 @@ def imu(time_s: float, yaw_rate_deg_s: float = 0.0, jitter: int = 0) -> mav.Inco
 class Obedient(Mover):
     """Wait for rest; turn the gyro's angle as far as is asked for, times a share."""
 
-    gyro: GyroAngle
     share: float = 1.0
     resting: bool = True
     refused: int = 0
@@ -51,8 +48,8 @@ class Obedient(Mover):
         self.gyro.angle_rad += self.share * angle_rad
         yield from nothing(None)
 
-    def settle(self, context: Context, rest: Rest, settings: DwellSettings) -> Script[bool]:
-        while self.resting and rest.for_s() < settings.settle_s:
+    def settle(self, context: Context, settings: DwellSettings) -> Script[bool]:
+        while self.resting and self.rest.for_s() < settings.settle_s:
             yield context.now + STEP_S
         return self.resting
 
@@ -72,13 +69,13 @@ def dwelt(
 ) -> tuple[float, Obedient, GyroAngle]:
     """Dwell once; return how long it took, by the vehicle's clock."""
     rest, gyro = Rest(), GyroAngle()
-    mover = Obedient(gyro, resting=resting)
+    mover = Obedient(gyro, rest, resting=resting)
 
     def script(context: Context) -> Script[Window]:
         context.listeners += [rest.hear, gyro.hear]
         while rest.for_s() < 0.5:
             yield context.now + 0.02
-        return (yield from dwell(context, rest, gyro, mover, settings or DwellSettings(), sureness))
+        return (yield from dwell(context, mover, settings or DwellSettings(), sureness))
 
     machine = Machine(script)
     for step in range(1500):
@@ -183,7 +180,7 @@ def test_rest_is_told_by_the_imu_and_begins_anew_after_a_restart() -> None:
 
 
 def visited(mover: Mover, count: int = 4, step_deg: float = 90.0, seen: tuple[Window, ...] = ()) -> list[str]:
-    rest = Rest()
+    rest = mover.rest
 
     def at_each() -> Script[None]:
         mover.done.append("at each")
@@ -194,11 +191,8 @@ def visited(mover: Mover, count: int = 4, step_deg: float = 90.0, seen: tuple[Wi
         while rest.for_s() < 0.5:
             yield context.now + 0.02
         settings = DwellSettings(dwell_s=0.3)
-        return (
-            yield from visit(
-                context, rest, mover.gyro, mover, count, math.radians(step_deg), settings, seen, at_each
-            )
-        )
+        step_rad = math.radians(step_deg)
+        return (yield from visit(context, mover, count, step_rad, settings, seen, at_each))
 
     machine, shown = Machine(script), list[str]()
     for step in range(1500):
@@ -214,7 +208,7 @@ def visited(mover: Mover, count: int = 4, step_deg: float = 90.0, seen: tuple[Wi
 
 
 def test_four_positions_are_visited_with_three_turns() -> None:
-    mover = Obedient(GyroAngle())
+    mover = Obedient(GyroAngle(), Rest())
     shown = visited(mover)
     assert mover.turns_deg == pytest.approx([90.0] * 3)
     assert mover.done == [
@@ -233,12 +227,12 @@ def test_four_positions_are_visited_with_three_turns() -> None:
 
 
 def test_a_position_that_does_not_count_is_visited_again() -> None:
-    mover = Obedient(GyroAngle(), refused=1)
+    mover = Obedient(GyroAngle(), Rest(), refused=1)
     assert visited(mover, 2)[-1] == "2" and len(mover.turns_deg) == 1
 
 
 def test_a_fifth_position_lies_half_a_step_between() -> None:
-    mover = Obedient(GyroAngle(angle_rad=270.0 * DEG))
+    mover = Obedient(GyroAngle(angle_rad=270.0 * DEG), Rest())
     seen = tuple(Window(10.0 * k, 10.0 * k + 2.0, 90.0 * k * DEG) for k in range(4))
     shown = visited(mover, 4, 90.0, seen)
     assert shown[-1] == "5" and mover.turns_deg == pytest.approx([45.0])
@@ -292,7 +286,7 @@ def ended(script: Script[None]) -> None:
 def test_a_way_that_does_not_move_is_left_and_what_was_used_is_halted_once() -> None:
     did: list[str] = []
     mover = VehicleMover(
-        GyroAngle(), [Way("first", False, did), Way("second", True, did), Way("third", True, did)]
+        GyroAngle(), Rest(), [Way("first", False, did), Way("second", True, did), Way("third", True, did)]
     )
     context = Context()
     mover.hold(context, 1.0)
@@ -317,7 +311,7 @@ def test_a_way_that_does_not_move_is_left_and_what_was_used_is_halted_once() -> 
 
 def test_where_no_way_moves_the_vehicle_it_is_refused() -> None:
     did: list[str] = []
-    mover = VehicleMover(GyroAngle(), [Way("first", False, did)])
+    mover = VehicleMover(GyroAngle(), Rest(), [Way("first", False, did)])
     with pytest.raises(Refused, match="the gyro saw no turn"):
         ended(mover.next(Context(), 1.0, 3))
     mover.hold(Context(), 1.0)
@@ -332,5 +326,5 @@ def test_what_turns_the_wrong_way_round_is_not_turned_by_other_means() -> None:
     with pytest.raises(
         Refused, match=r"turned 29 deg the wrong way round\. With its heading more than 90 deg"
     ):
-        ended(VehicleMover(gyro, [first, Way("second", True, did)]).next(Context(), -1.0, 3))
+        ended(VehicleMover(gyro, Rest(), [first, Way("second", True, did)]).next(Context(), -1.0, 3))
     assert did == ["first turns"]
