@@ -27,8 +27,8 @@ from mavcompass.procedure.motion.safety import MotionGuard, SafetyLimits
 from mavcompass.procedure.positions import HandMover, Mover, Rest, VehicleMover
 from mavcompass.procedure.script import Context, Script, pause
 from mavcompass.procedure.turning import (
+    SteeredTurn,
     TurnBy,
-    TurnStrategy,
     channels_moved,
     strategies_for,
     turned_otherwise,
@@ -91,7 +91,7 @@ class Mobility:
         self.mover = VehicleMover(desk.gyro, desk.rest, strategies)
         return self.mover
 
-    def _strategies(self) -> tuple[TurnStrategy, ...]:
+    def _strategies(self) -> tuple[SteeredTurn, ...]:
         kind, autopilot = self.desk.identity.kind, self.desk.identity.autopilot
         strategies = strategies_for(
             kind, autopilot, self._is_ackermann, self.turn_by, self._modes, self.continuous

@@ -16,7 +16,7 @@ from mavcompass.errors import LinkLost, PoorCalibration, Refused
 from mavcompass.frames import wrap_pi
 from mavcompass.procedure.positions.visiting import DwellSettings, Mover
 from mavcompass.procedure.script import Context, Script, pause
-from mavcompass.procedure.turning import TurnStrategy
+from mavcompass.procedure.turning import SteeredTurn
 
 # So close to a wanted heading it need not be turned further; a position counts when it is so far from every
 # one before it; tilted further, it is to be levelled.
@@ -159,7 +159,7 @@ class VehicleMover(Mover):
     """Let the vehicle turn itself; a strategy that does not move it is replaced by the next."""
 
     by_itself: ClassVar[bool] = True
-    strategies: Sequence[TurnStrategy] = ()
+    strategies: Sequence[SteeredTurn] = ()
     _current: int = 0
     _used: bool = False
     _moving: bool = False
@@ -179,8 +179,8 @@ class VehicleMover(Mover):
                 raise Refused(f"It turned {math.degrees(back_rad):.0f} deg the wrong way round.", _WRONG_WAY)
             self._current += 1
             if self._current < len(self.strategies):
-                then = self.strategies[self._current].name
-                context.show("turn", f"{strategy.name} did not move the vehicle; trying {then}.")
+                then = self.strategies[self._current].way.name
+                context.show("turn", f"{strategy.way.name} did not move the vehicle; trying {then}.")
         raise Refused(
             "The vehicle accepted the commands but the gyro saw no turn.",
             "Put it into GUIDED, armed (a copter: flying), or turn it by hand with --motion hand.",
@@ -203,5 +203,5 @@ class VehicleMover(Mover):
         for strategy in self._all_used():
             yield from strategy.release(context)
 
-    def _all_used(self) -> Sequence[TurnStrategy]:
+    def _all_used(self) -> Sequence[SteeredTurn]:
         return self.strategies[: self._current + 1] if self._used else ()

@@ -1,6 +1,6 @@
 """Visit the still positions of a calibration: wait for rest, dwell, turn, again.
 
-The vehicle turns itself by a `TurnStrategy`, or a person turns it. Both give the same: stretches of
+The vehicle turns itself by a `SteeredTurn`, or a person turns it. Both give the same: stretches of
 the recording, in the vehicle's time, in which it stood still.
 """
 

@@ -8,9 +8,11 @@ from typing import Literal
 
 from mavcompass import messages as mav
 from mavcompass.procedure.script import Context
-from mavcompass.procedure.turning.steered import Steer, SteeredTurn
+from mavcompass.procedure.turning.steered import Steer, SteeredTurn, TurnWay
 
 TurnBy = Literal["auto", "rc-override", "manual-control"]
+
+_NAMES = {"rc-override": "the steering channel", "manual-control": "MANUAL_CONTROL"}
 
 _CENTRE_PWM, _SPAN_PWM = 1500, 500
 _RELEASE, _UNTOUCHED = 0, 65535
@@ -26,7 +28,6 @@ class SteeringOverride(Steer):
     """
 
     channel: int = 1
-    name: str = "the steering channel"
 
     def turn(self, context: Context, rate_radps: float, left_rad: float) -> None:
         """Hold the channel to the side."""
@@ -58,7 +59,6 @@ class ManualAxis(Steer):
 
     axis: str = "y"
     middle: int = 0
-    name: str = "MANUAL_CONTROL"
 
     def turn(self, context: Context, rate_radps: float, left_rad: float) -> None:
         """Hold the axis to the side."""
@@ -74,29 +74,22 @@ class ManualAxis(Steer):
         context.send(mav.ManualControl(context.system, y=y, z=self.middle, r=r))
 
 
-_STEERS: dict[tuple[str, TurnBy], Steer] = {
-    ("rover", "rc-override"): SteeringOverride(),
-    ("boat", "rc-override"): SteeringOverride(),
-    ("sub", "rc-override"): SteeringOverride(channel=4),
-    ("rover", "manual-control"): ManualAxis(),
-    ("boat", "manual-control"): ManualAxis(),
-    ("sub", "manual-control"): ManualAxis(axis="r", middle=500),
-    ("vtol", "rc-override"): SteeringOverride(channel=4),
-    ("vtol", "manual-control"): ManualAxis(axis="r", middle=500),
-}
+# The channel by which each kind of vehicle is steered (1) or yawed (4), and so its axis of MANUAL_CONTROL.
+_CHANNELS = {"rover": 1, "boat": 1, "sub": 4, "vtol": 4}
 
 
 def turn_by_controls(kind: str, by: TurnBy) -> SteeredTurn | None:
     """Return the turn by the pilot's controls; None for a kind of vehicle that they do not turn."""
-    steer = _STEERS.get((kind, by))
-    return None if steer is None else SteeredTurn(steer, math.radians(40.0), coast_s=0.5)
+    if by == "auto" or (channel := _CHANNELS.get(kind)) is None:
+        return None
+    steer: Steer = SteeringOverride(channel)
+    if by == "manual-control":
+        steer = ManualAxis() if channel == 1 else ManualAxis("r", 500)
+    return SteeredTurn(steer, TurnWay(_NAMES[by], math.radians(40.0), coast_s=0.5))
 
 
 def channels_moved(kind: str, by: TurnBy) -> frozenset[int]:
     """List the RC channels that a turn moves: they say nothing about the pilot."""
-    match _STEERS.get((kind, by)):
-        case SteeringOverride(channel=channel):
-            return frozenset({channel})
-        case ManualAxis():
-            return frozenset({1, 2, 3, 4})
-    return frozenset()
+    if by == "auto" or kind not in _CHANNELS:
+        return frozenset()
+    return frozenset({_CHANNELS[kind]} if by == "rc-override" else {1, 2, 3, 4})

@@ -14,7 +14,7 @@ from mavcompass.installation.data_files import params_path
 from mavcompass.procedure.modes import ModeKeeper
 from mavcompass.procedure.turning import ways
 from mavcompass.procedure.turning.pilots_controls import TurnBy, turn_by_controls
-from mavcompass.procedure.turning.steered import Builder, TurnStrategy, TurnWay
+from mavcompass.procedure.turning.steered import Builder, SteeredTurn, TurnWay
 from mavcompass.units import RAD_PER_DEG
 
 
@@ -97,7 +97,7 @@ def strategies_for(
     by: TurnBy = "auto",
     modes: ModeKeeper | None = None,
     continuous: bool = False,
-) -> tuple[TurnStrategy, ...]:
+) -> tuple[SteeredTurn, ...]:
     """List the ways to turn a vehicle, best first; empty where only a person can turn it.
 
     Which and how fast stands in `params/vehicles`. `by` other than "auto" moves the pilot's own controls
@@ -122,7 +122,7 @@ def turned_otherwise(kind: str, autopilot: str) -> str:
     return ", unless it can hover, and does (ArduPilot: QLOITER)" if kind == "plane" else ""
 
 
-def _strategy(way: TurnWay, modes: ModeKeeper | None) -> TurnStrategy:
+def _strategy(way: TurnWay, modes: ModeKeeper | None) -> SteeredTurn:
     if way.name not in known_ways():
         raise MavCompassError(
             f"A vehicle profile names a way to turn that does not exist: {way.name!r}.",

@@ -1,6 +1,6 @@
 """A turn by repeated commands, closed on the gyro, whichever message commands it.
 
-A strategy commands; the gyro tells whether and how far the vehicle turned. An acknowledgement
+A `Steer` commands; the gyro tells whether and how far the vehicle turned. An acknowledgement
 proves nothing: ArduCopter accepts CONDITION_YAW in every mode and moves only in some.
 """
 
@@ -10,7 +10,6 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 from mavcompass.procedure.modes import ModeKeeper
 from mavcompass.procedure.script import Context, Script, pause
@@ -25,6 +24,7 @@ _MOVED_RAD = math.radians(6.0)
 _GATHERS_WAY_S = 0.5
 # A command, and what the gyro tells of it, come so late.
 _LATE_S = 0.1
+_SLOWEST_RADPS = math.radians(15.0)  # at which a turn ends
 _BOOST_GAIN, _MOST_BOOST = 0.15, 1.6
 # Events come at least this often; a longer step is our own computer's, which solved or slept meanwhile.
 _LONGEST_STEP_S = 0.2
@@ -46,7 +46,7 @@ class TurnWay:
         coast_s: angle coasted after the last command, per rate at that moment.
         gain_per_s: rate of turn per radian of heading error, for ways that name a heading.
         forward_mps: speed while turning, for what cannot turn on the spot.
-        speed_up_s: the rate grows to its full size in so long.
+        speed_up_s: the rate grows to its full size in so long: a step sets a soft vehicle swinging.
         ends_within_s: the vehicle stands so soon after the last heading that it was told, its link dead.
         round_radps, round_ends_within_s: the same of one turn all the way round without a stop; 0 where
             that is not possible.
@@ -68,36 +68,10 @@ class TurnWay:
         return replace(self, rate_radps=self.round_radps, ends_within_s=self.round_ends_within_s)
 
 
-class TurnStrategy(Protocol):
-    """Turn the vehicle by an angle measured by the gyro."""
-
-    @property
-    def name(self) -> str:
-        """Return what the person is told."""
-        ...
-
-    def turn(self, context: Context, gyro: GyroAngle, angle_rad: float) -> Script[bool]:
-        """Turn by about `angle_rad` (clockwise positive); False where the vehicle does not move."""
-        ...
-
-    def hold(self, context: Context) -> None:
-        """Leave a message that keeps the vehicle where it is; called several times a second."""
-        ...
-
-    def halt(self, context: Context) -> None:
-        """Leave messages that stop any rotation now."""
-        ...
-
-    def release(self, context: Context) -> Script[None]:
-        """Give the vehicle back as it was taken, after `halt`."""
-        ...
-
-
 class Steer(ABC):
-    """Ask a vehicle to turn by one kind of message; `name` is what the person is told."""
+    """Ask a vehicle to turn by one kind of message."""
 
     __slots__ = ()
-    name: str
 
     @abstractmethod
     def turn(self, context: Context, rate_radps: float, left_rad: float) -> None:
@@ -108,59 +82,37 @@ class Steer(ABC):
         """Ask for no turn at all."""
 
     def let_go(self, context: Context) -> None:  # noqa: B027 (most have nothing to end)
-        """End what was asked for, where it does not end by itself; called once, after the last `stand`."""
+        """End what was asked for, where it does not end by itself; called after the last `stand`."""
 
 
 @dataclass(slots=True)
 class SteeredTurn:
-    """Turn by repeated commands, closed on the gyro.
+    """Turn by an angle measured by the gyro, by repeated commands at the rates of a vehicle's profile.
 
     The rate falls toward the end, so that late telemetry costs degrees, not quarter turns. How far the
     vehicle coasts after the last command is learned from one turn to the next.
 
     Attributes:
         steer: the message that turns it.
-        rate_radps, slowest_radps: the rate of turn, and that at which the turn ends.
-        slow_down_s: the rate is at most what is left divided by this.
-        coast_s: angle coasted after the last command per rate at that moment.
         arrives: the commands name angles, and the vehicle comes to rest there by itself.
-        speed_up_s: the rate grows to its full size in so long: a step sets a soft vehicle swinging.
     """
 
     steer: Steer
-    rate_radps: float
-    slowest_radps: float = math.radians(15.0)
-    slow_down_s: float = 0.6
-    coast_s: float = 0.3
+    way: TurnWay
     arrives: bool = False
-    speed_up_s: float = 0.0
     _asked_radps: float = field(default=0.0, compare=False)
     _learned_s: float | None = field(default=None, compare=False)
     _ended: tuple[float, float] | None = field(default=None, compare=False)
 
-    @classmethod
-    def by(cls, steer: Steer, way: TurnWay, arrives: bool = False) -> SteeredTurn:
-        """Turn by a message at the rates of a vehicle's profile."""
-        return cls(
-            steer,
-            way.rate_radps,
-            slow_down_s=way.slow_down_s,
-            coast_s=way.coast_s,
-            arrives=arrives,
-            speed_up_s=way.speed_up_s,
-        )
-
-    @property
-    def name(self) -> str:
-        """Return what the person is told."""
-        return self.steer.name
-
     def turn(self, context: Context, gyro: GyroAngle, angle_rad: float) -> Script[bool]:
-        """Command the rate until the gyro says that the rest is what stopping takes."""
+        """Command the rate (clockwise positive) until the gyro says that the rest is what stopping takes.
+
+        False where the vehicle does not move.
+        """
         self._learn_coasting(gyro)
         start_rad, looked_s, so_far_s = gyro.angle_rad, context.now, 0.0
         sign = math.copysign(1.0, angle_rad)
-        longest_s = _MOVES_WITHIN_S + 3.0 * abs(angle_rad) / self.slowest_radps
+        longest_s = _MOVES_WITHIN_S + 3.0 * abs(angle_rad) / _SLOWEST_RADPS
         said_s, boost, most = -math.inf, 1.0, self._most_radps(abs(angle_rad))
         while True:
             so_far_s += min(context.now - looked_s, _LONGEST_STEP_S)
@@ -174,7 +126,7 @@ class SteeredTurn:
                 break
             if context.now - said_s >= _REPEAT_S - 1e-3:
                 fastest = most * self._gathered(so_far_s + _REPEAT_S)
-                wanted = min(fastest, max(self.slowest_radps, left / self.slow_down_s))
+                wanted = min(fastest, max(_SLOWEST_RADPS, left / self.way.slow_down_s))
                 boost = self._boosted(boost, wanted, speed, so_far_s)
                 self._asked_radps = sign * wanted * boost
                 self.steer.turn(context, self._asked_radps, left)
@@ -188,20 +140,21 @@ class SteeredTurn:
     def _is_there(self, left: float, speed: float, turned: float) -> bool:
         if self.arrives:
             return left < _MOVED_RAD or (turned > 0.6 * (turned + left) and speed < SLOW_RADPS)
-        coast_s = self.coast_s if self._learned_s is None else self._learned_s
+        coast_s = self.way.coast_s if self._learned_s is None else self._learned_s
         return left <= max(speed, 0.0) * coast_s
 
     def _most_radps(self, angle_rad: float) -> float:
         """Return the rate that a turn grows to: of a short one, as much as it can slow down from in time."""
-        return min(self.rate_radps, angle_rad / (0.5 * self.speed_up_s + self.slow_down_s + _LATE_S))
+        way = self.way
+        return min(way.rate_radps, angle_rad / (0.5 * way.speed_up_s + way.slow_down_s + _LATE_S))
 
     def _gathered(self, so_far_s: float) -> float:
         """Return the share of the rate that is asked for so long after the beginning."""
-        return min(1.0, so_far_s / self.speed_up_s) if self.speed_up_s else 1.0
+        return min(1.0, so_far_s / self.way.speed_up_s) if self.way.speed_up_s else 1.0
 
     def _boosted(self, boost: float, wanted: float, speed: float, so_far_s: float) -> float:
         """Ask for more where the vehicle turns more slowly than it is asked to."""
-        if self.arrives or so_far_s < _GATHERS_WAY_S or wanted < self.rate_radps:
+        if self.arrives or so_far_s < _GATHERS_WAY_S or wanted < self.way.rate_radps:
             return boost
         return max(1.0, min(_MOST_BOOST, boost + _BOOST_GAIN * (wanted - speed) / wanted))
 
@@ -218,7 +171,7 @@ class SteeredTurn:
             self.steer.stand(context)
 
     def hold(self, context: Context) -> None:
-        """Ask for no turn."""
+        """Ask for no turn; called several times a second."""
         self.steer.stand(context)
 
     def halt(self, context: Context) -> None:
@@ -232,9 +185,9 @@ class SteeredTurn:
         self._asked_radps = 0.0
 
     def release(self, context: Context) -> Script[None]:
-        """Do nothing: nothing was taken but what `halt` gives back."""
+        """Give the vehicle back as it was taken, after `halt`: nothing was, but what that gives back."""
         yield from ()
 
 
-# Builds a strategy from the numbers of a profile; the modes are for one that needs a mode of its own.
-Builder = Callable[[TurnWay, ModeKeeper | None], TurnStrategy]
+# Builds a turn from the numbers of a profile; the modes are for one that needs a mode of its own.
+Builder = Callable[[TurnWay, ModeKeeper | None], SteeredTurn]

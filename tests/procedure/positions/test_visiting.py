@@ -261,6 +261,10 @@ class Way:
     did: list[str]
     meanwhile: Callable[[], None] = lambda: None
 
+    @property
+    def way(self) -> Way:
+        return self
+
     def turn(self, context: Context, gyro: GyroAngle, angle_rad: float) -> Script[bool]:
         self.did.append(f"{self.name} turns")
         self.meanwhile()

@@ -14,7 +14,7 @@ from mavcompass.procedure.modes import PX4_OFFBOARD, ModeKeeper
 from mavcompass.procedure.script import Context, Machine, Script, Send, Stop, Tick
 from mavcompass.procedure.turning import GyroAngle
 from mavcompass.procedure.turning.steered import SteeredTurn, TurnWay
-from mavcompass.procedure.turning.ways.offboard import OffboardTurn
+from mavcompass.procedure.turning.ways.offboard import OffboardTurn, Setpoints
 from mavcompass.procedure.vehicle_state import VehicleState
 
 DEG = math.radians(1.0)
@@ -31,7 +31,6 @@ class Vehicle:
     asked: list[tuple[float, float]] = field(default_factory=list)  # deg/s, degrees left
     did: list[str] = field(default_factory=list)
     wanted_radps: float = 0.0
-    name: str = "a way"
 
     def turn(self, context: Context, rate_radps: float, left_rad: float) -> None:
         self.asked.append((math.degrees(rate_radps), math.degrees(left_rad)))
@@ -63,8 +62,8 @@ def turned(
     raise AssertionError("it hangs")
 
 
-def steered(vehicle: Vehicle, **more: Any) -> SteeredTurn:
-    return SteeredTurn(vehicle, 40.0 * DEG, **more)
+def steered(vehicle: Vehicle, arrives: bool = False, **way: float) -> SteeredTurn:
+    return SteeredTurn(vehicle, TurnWay("a way", 40.0 * DEG, **way), arrives)
 
 
 def test_time_in_which_our_computer_solved_is_not_the_vehicles() -> None:
@@ -165,11 +164,9 @@ def test_a_vehicle_that_has_not_turned_six_degrees_in_three_seconds_does_not_mov
 
 def test_holding_asks_for_no_turn_and_halting_lets_go() -> None:
     vehicle = Vehicle(GyroAngle())
-    turn = SteeredTurn.by(vehicle, TurnWay("a way", 0.5, 0.7, 0.4, speed_up_s=0.9), arrives=True)
-    assert (turn.rate_radps, turn.slow_down_s, turn.coast_s, turn.arrives) == (0.5, 0.7, 0.4, True)
-    assert turn.speed_up_s == 0.9
+    turn = steered(vehicle, arrives=True)
     turn.hold(Context())
-    assert vehicle.did == ["stand"] and turn.name == "a way"
+    assert vehicle.did == ["stand"]
     turn.halt(Context())
     assert vehicle.did[1:] == ["stand", "stand", "let go", "let go"]
     assert list(turn.release(Context())) == []
@@ -278,7 +275,7 @@ def targets(actions: list[Any]) -> list[mav.SetPositionTargetLocalNed]:
 def test_targets_stream_before_the_switch_and_ask_to_stay_at_the_place(
     state: VehicleState, at_place: bool
 ) -> None:
-    turn = OffboardTurn(TurnWay("w", 0.5), ModeKeeper(state, "px4"))
+    turn = OffboardTurn(Setpoints(), TurnWay("w", 0.5), modes=ModeKeeper(state, "px4"))
     machine = Machine(lambda context: turn.turn(context, GyroAngle(), 1.0))
     seen: list[mav.SetPositionTargetLocalNed] = []
     asked_s = None
@@ -304,11 +301,11 @@ def test_targets_stream_before_the_switch_and_ask_to_stay_at_the_place(
 
 def test_in_offboard_the_wish_is_streamed_and_a_halt_is_sent_at_once_twice() -> None:
     state = state_of(PX4_OFFBOARD)
-    turn = OffboardTurn(TurnWay("w", 0.5), ModeKeeper(state, "px4"))
+    turn = OffboardTurn(Setpoints(), TurnWay("w", 0.5), modes=ModeKeeper(state, "px4"))
     context = Context(now=0.0)
     assert list(turn.release(context)) == []  # nothing was taken
     turn.halt(context)
-    assert not context.outbox and turn.name == "w"
+    assert not context.outbox
 
     def script(context: Context) -> Script[bool]:
         return (yield from turn.turn(context, GyroAngle(), 1.0))
@@ -329,7 +326,7 @@ def test_in_offboard_the_wish_is_streamed_and_a_halt_is_sent_at_once_twice() -> 
 def test_the_stream_goes_on_until_the_old_mode_is_back() -> None:
     state = state_of(7)
     modes = ModeKeeper(state, "px4")
-    turn = OffboardTurn(TurnWay("w", 0.5), modes)
+    turn = OffboardTurn(Setpoints(), TurnWay("w", 0.5), modes=modes)
 
     def script(context: Context) -> Script[bool]:
         yield from turn._enter(context)
@@ -351,4 +348,4 @@ def test_the_stream_goes_on_until_the_old_mode_is_back() -> None:
                 state.heartbeat = mav.Heartbeat(custom_mode=PX4_OFFBOARD if to_offboard else 7)
                 back_s = math.inf if to_offboard else time_s
     assert machine.result is True and state.mode == 7 and last_s >= back_s - 0.12
-    assert not turn._streaming and modes.before == []
+    assert not turn.steer.streaming and modes.before == []

@@ -28,8 +28,6 @@ NUDGES = '''
 
     @dataclass(frozen=True)
     class Nudge:
-        name: str = "nudges"
-
         def turn(self, context, rate_radps, left_rad):
             send_target(context, YAW_RATE_ONLY, yaw_rate_radps=math.copysign(0.5, rate_radps))
 
@@ -40,7 +38,7 @@ NUDGES = '''
             pass
 
 
-    WAYS = {"nudges": lambda way, modes: SteeredTurn.by(Nudge(), way)}
+    WAYS = {"nudges": lambda way, modes: SteeredTurn(Nudge(), way)}
 '''
 
 

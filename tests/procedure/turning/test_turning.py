@@ -14,7 +14,7 @@ from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.modes import PX4_OFFBOARD, ModeKeeper
 from mavcompass.procedure.positions import VehicleMover
 from mavcompass.procedure.script import Context, Script, pause
-from mavcompass.procedure.turning import GyroAngle, TurnBy, TurnStrategy, strategies_for
+from mavcompass.procedure.turning import GyroAngle, SteeredTurn, TurnBy, strategies_for
 from mavcompass.procedure.turning.ways.offboard import OffboardTurn
 from mavcompass.procedure.vehicle_state import VehicleState
 from mavcompass.simulation.vehicle import SimulatedAutopilot
@@ -41,7 +41,7 @@ class Turned:
 
 def turn(
     vehicle: SimulatedAutopilot,
-    strategy: TurnStrategy,
+    strategy: SteeredTurn,
     angle_deg: float,
     by: TurnBy = "auto",
 ) -> Turned:

@@ -70,7 +70,7 @@ def test_a_stick_goes_to_its_thousandths(rate_deg_s: float, share: int) -> None:
 def test_the_pilots_controls_of_each_vehicle(kind: str, by: str, steer: Steer) -> None:
     turn = turn_by_controls(kind, by)  # type: ignore[arg-type]
     assert turn is not None and turn.steer == steer
-    assert turn.rate_radps == pytest.approx(40.0 * DEG) and turn.coast_s == 0.5 and not turn.arrives
+    assert turn.way.rate_radps == pytest.approx(40.0 * DEG) and turn.way.coast_s == 0.5 and not turn.arrives
     assert strategies_for(kind, "ardupilot", by=by) == (turn,)  # type: ignore[arg-type]
     assert strategies_for(kind, "px4", by=by) == ()  # type: ignore[arg-type]
 
@@ -158,16 +158,16 @@ def test_a_yaw_step_is_relative_and_no_farther_than_what_is_left_or_ends_in_time
     [
         ("heading targets", HeadingAhead(1.25, 2.0), False),
         ("attitude targets", AttitudeRate(), False),
-        ("CONDITION_YAW", YawStep(ends_within_s=2.0), True),
+        ("CONDITION_YAW", YawStep(2.0), True),
         ("yaw rate targets", YawRate(), False),
-        ("yaw rate targets at a standstill", YawRate(0x5C7, name="yaw rate targets at a standstill"), False),
-        ("slow arcs", YawRate(0x5C7, 1.5, "slow arcs"), False),
+        ("yaw rate targets at a standstill", YawRate(0x5C7), False),
+        ("slow arcs", YawRate(0x5C7, 1.5), False),
     ],
 )
 def test_a_way_is_built_from_the_numbers_of_a_profile(way: str, steer: Steer, arrives: bool) -> None:
-    turn = known_ways()[way](TurnWay(way, 0.5, 0.7, 0.4, 1.25, 1.5, 0.9, 2.0), None)
-    assert turn.steer == steer and turn.arrives is arrives  # type: ignore[attr-defined]
-    assert turn.rate_radps == 0.5 and turn.name == way  # type: ignore[attr-defined]
+    numbers = TurnWay(way, 0.5, 0.7, 0.4, 1.25, 1.5, 0.9, 2.0)
+    turn = known_ways()[way](numbers, None)
+    assert turn.steer == steer and turn.arrives is arrives and turn.way is numbers
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ from parameter_vehicle import ardupilot_parameters
 from mavcompass.errors import MavCompassError
 from mavcompass.installation.data_files import params_path
 from mavcompass.procedure.motion import SafetyLimits
-from mavcompass.procedure.turning import SteeredTurn, strategies_for, vehicle_profile
 from mavcompass.procedure.turning import profiles as vehicle_profiles
+from mavcompass.procedure.turning import strategies_for, vehicle_profile
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.parameters import rules as parameter_rules
 from mavcompass.vehicle.parameters.files import read_parameter_file
@@ -70,12 +70,9 @@ def test_every_vehicle_that_can_turn_itself_has_its_profile(kind: str, ackermann
     assert profile is not None
     assert profile.name == name
     # What the procedure turns by is what the file says.
-    assert ways and [way.name for way in ways] == [way.name for way in profile.ways]
-    for strategy, way in zip(ways, profile.ways, strict=True):
-        assert isinstance(strategy, SteeredTurn)
-        assert strategy.rate_radps == way.rate_radps and strategy.coast_s == way.coast_s
-        # A turn at the profile's rate is well inside the limit.
-        assert way.rate_radps < 0.5 * SafetyLimits().rate_radps
+    assert ways and tuple(turn.way for turn in ways) == profile.ways
+    # A turn at the profile's rate is well inside the limit.
+    assert all(way.rate_radps < 0.5 * SafetyLimits().rate_radps for way in profile.ways)
 
 
 def test_a_way_that_does_not_exist_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,6 +13,7 @@ from mavcompass.procedure.turning.targets import STAND_AND_YAW_RATE, YAW_ONLY, Y
 
 # Far from half a turn, beyond which it would be the other way round.
 _FARTHEST_RAD = math.radians(90.0)
+_STEP_RAD = math.radians(8.0)
 # SET_ATTITUDE_TARGET's type_mask: only the yaw rate and the thrust count.
 _RATE_AND_THRUST = 0x83
 
@@ -31,7 +32,6 @@ class HeadingAhead(Steer):
 
     gain_per_s: float = 2.0
     ends_within_s: float = 1.0
-    name: str = "heading targets"
 
     @property
     def farthest_rad(self) -> float:
@@ -60,7 +60,6 @@ class YawRate(Steer):
 
     type_mask: int = YAW_RATE_ONLY
     forward_mps: float = 0.0
-    name: str = "yaw rate targets"
 
     def turn(self, context: Context, rate_radps: float, left_rad: float) -> None:
         """Ask for the rate."""
@@ -76,8 +75,6 @@ class YawRate(Steer):
 @dataclass(frozen=True, slots=True)
 class AttitudeRate(Steer):
     """Ask for a yaw rate by SET_ATTITUDE_TARGET without thrust: rovers and boats."""
-
-    name: str = "attitude targets"
 
     def turn(self, context: Context, rate_radps: float, left_rad: float) -> None:
         """Ask for the rate."""
@@ -103,14 +100,12 @@ class YawStep(Steer):
     one is gone on with where the link dies: it is no longer than the rate covers in time.
     """
 
-    step_rad: float = math.radians(8.0)
     ends_within_s: float = 1.0
-    name: str = "CONDITION_YAW"
 
     def turn(self, context: Context, rate_radps: float, left_rad: float) -> None:
         """Turn on by a step, at the rate; not farther than what is left, or than it turns in time."""
         in_time_rad = abs(rate_radps) * (self.ends_within_s - RUNS_ON_S)
-        self._command(context, min(self.step_rad, in_time_rad, max(left_rad, 0.0)), rate_radps)
+        self._command(context, min(_STEP_RAD, in_time_rad, max(left_rad, 0.0)), rate_radps)
 
     def stand(self, context: Context) -> None:
         """Do nothing: the last step ends by itself and the autopilot holds its yaw."""
@@ -135,18 +130,10 @@ class YawStep(Steer):
 
 
 WAYS: dict[str, Builder] = {
-    "heading targets": lambda way, modes: SteeredTurn.by(
-        HeadingAhead(way.gain_per_s, way.ends_within_s), way
-    ),
-    "yaw rate targets": lambda way, modes: SteeredTurn.by(YawRate(), way),
-    "yaw rate targets at a standstill": lambda way, modes: SteeredTurn.by(
-        YawRate(STAND_AND_YAW_RATE, name=way.name), way
-    ),
-    "slow arcs": lambda way, modes: SteeredTurn.by(
-        YawRate(STAND_AND_YAW_RATE, forward_mps=way.forward_mps, name=way.name), way
-    ),
-    "attitude targets": lambda way, modes: SteeredTurn.by(AttitudeRate(), way),
-    "CONDITION_YAW": lambda way, modes: SteeredTurn.by(
-        YawStep(ends_within_s=way.ends_within_s), way, arrives=True
-    ),
+    "heading targets": lambda way, modes: SteeredTurn(HeadingAhead(way.gain_per_s, way.ends_within_s), way),
+    "yaw rate targets": lambda way, modes: SteeredTurn(YawRate(), way),
+    "yaw rate targets at a standstill": lambda way, modes: SteeredTurn(YawRate(STAND_AND_YAW_RATE), way),
+    "slow arcs": lambda way, modes: SteeredTurn(YawRate(STAND_AND_YAW_RATE, way.forward_mps), way),
+    "attitude targets": lambda way, modes: SteeredTurn(AttitudeRate(), way),
+    "CONDITION_YAW": lambda way, modes: SteeredTurn(YawStep(way.ends_within_s), way, arrives=True),
 }
