@@ -20,8 +20,8 @@ from mavcompass.heading.live import Heading
 from mavcompass.messages import Incoming
 from mavcompass.procedure.vehicle_state import RollCall, VehicleIdentity, several
 from mavcompass.service.config import ServiceConfig, split_host_port
+from mavcompass.service.mavlink.component import GroundStationReporter
 from mavcompass.service.mavlink.rates import RateKeeper
-from mavcompass.service.mavlink.teller import Teller
 from mavcompass.service.view import GONE_S, VehicleView
 from mavcompass.service.watch import CompassWatch, Finding
 from mavcompass.service.work import clock
@@ -73,7 +73,7 @@ class Station:
         self._open_link = open_link
         self._due = Schedule()
         self._roll = RollCall(config.vehicle.system or None)
-        self._teller = Teller(config, self.desk, self._due)
+        self._ground_stations = GroundStationReporter(config, self.desk, self._due)
         self._jobs = Jobs(config, history, self.learning, self._hear_in_procedure)
         self._rates = RateKeeper({})
         self._publisher = HeadingPublisher(config.heading.publish) if config.heading.publish else None
@@ -191,7 +191,7 @@ class Station:
     def _hear_other(self, link: Link, heard: Incoming) -> None:
         """Take a message of anybody but the vehicle: a command, or the vehicle's first heartbeat."""
         offered = [lesson.instance for lesson in self.learning.offers()]
-        self._teller.hear_command(link, self.view, heard, offered)
+        self._ground_stations.hear_command(link, self.view, heard, offered)
         if self.view is not None:
             return
         self._roll.hear(heard)
@@ -225,7 +225,7 @@ class Station:
             return
         if self._due.is_due("look", now_s, _LOOK_EVERY_S):
             self.watch.update(view.glance(now_s))
-        self._teller.tell(link, view, self.findings, now_s)
+        self._ground_stations.tell(link, view, self.findings, now_s)
         if not idle or now_s - view.heard_s > GONE_S:
             return
         for request in self._rates.due(now_s, view.identity.system):

@@ -18,7 +18,7 @@ from mavcompass.procedure.script import Show
 from mavcompass.procedure.vehicle_state import VehicleIdentity
 from mavcompass.service.config import ServiceConfig
 from mavcompass.service.mavlink import component
-from mavcompass.service.mavlink.teller import Teller
+from mavcompass.service.mavlink.component import GroundStationReporter
 from mavcompass.service.view import VehicleView
 from mavcompass.service.watch import Finding
 from mavcompass.service.work.clock import Schedule
@@ -58,23 +58,18 @@ def command(number: int, *params: float) -> mav.CommandLong:
 @pytest.mark.parametrize(("mask", "chosen"), [(0.0, (1, 2, 3)), (1.0, (1,)), (6.0, (2, 3)), (7.0, (1, 2, 3))])
 def test_a_calibration_starts_for_the_compasses_of_the_mask(mask: float, chosen: tuple[int, ...]) -> None:
     reply = component.answer(command(MavCmd.DO_START_MAG_CAL, mask), None, (1, 2, 3), True)
-    assert reply.result == MavResult.ACCEPTED
-    assert reply.order is not None and reply.order.request is not None
-    assert reply.order.request.compasses == chosen
-    assert reply.order.request.writing == "ask"
+    assert reply == (MavResult.ACCEPTED, CalibrationRequest(compasses=chosen, writing="ask"))
 
 
 def test_accepting_an_offer_is_consent_to_have_it_written() -> None:
     reply = component.answer(command(MavCmd.DO_ACCEPT_MAG_CAL), None, (1, 2), True, offered=(2,))
-    assert reply.result == MavResult.ACCEPTED and reply.order is not None
-    assert reply.order.request == CalibrationRequest(compasses=(2,), writing="yes", method="running")
-    assert component.answer(command(MavCmd.DO_ACCEPT_MAG_CAL), None, (1, 2), True).result == MavResult.FAILED
+    assert reply == (MavResult.ACCEPTED, CalibrationRequest((2,), writing="yes", method="running"))
+    assert component.answer(command(MavCmd.DO_ACCEPT_MAG_CAL), None, (1, 2), True) == (MavResult.FAILED, None)
 
 
 def test_autosave_writes_without_asking() -> None:
     reply = component.answer(command(MavCmd.DO_START_MAG_CAL, 0, 1, 1), None, (1,), True)
-    assert reply.order is not None and reply.order.request is not None
-    assert reply.order.request.writing == "yes"
+    assert reply == (MavResult.ACCEPTED, CalibrationRequest((1,), writing="yes"))
 
 
 @pytest.mark.parametrize(
@@ -94,26 +89,23 @@ def test_a_start_is_refused(
 ) -> None:
     current = None if under_way is None else task(under_way)
     reply = component.answer(command(MavCmd.DO_START_MAG_CAL, *params), current, (1,), allowed)
-    assert (reply.result, reply.order) == (expected, None)
+    assert reply == (expected, None)
 
 
 def test_accept_and_cancel_do_what_they_say_when_there_is_something() -> None:
     before_a_result = task("asking", question="May the compass's arming check be set aside?")
-    refused = component.answer(command(MavCmd.DO_ACCEPT_MAG_CAL), before_a_result, (1,), True)
-    assert refused.result == MavResult.FAILED
     asking = task("asking", question="Write?", results=(result(),))
-    accept = component.answer(command(MavCmd.DO_ACCEPT_MAG_CAL), asking, (1,), True)
-    assert accept.order is not None and accept.order.verb == "accept"
-    cancel = component.answer(command(MavCmd.DO_CANCEL_MAG_CAL), task(), (1,), True)
-    assert cancel.order is not None and cancel.order.verb == "cancel"
-    assert component.answer(command(MavCmd.DO_ACCEPT_MAG_CAL), task(), (1,), True).result == MavResult.FAILED
-    idle = component.answer(command(MavCmd.DO_CANCEL_MAG_CAL), None, (1,), True)
-    assert (idle.result, idle.order) == (MavResult.ACCEPTED, None)
+    accept, cancel = (command(number) for number in (MavCmd.DO_ACCEPT_MAG_CAL, MavCmd.DO_CANCEL_MAG_CAL))
+    assert component.answer(accept, before_a_result, (1,), True) == (MavResult.FAILED, None)
+    assert component.answer(accept, asking, (1,), True) == (MavResult.ACCEPTED, "accept")
+    assert component.answer(accept, task(), (1,), True) == (MavResult.FAILED, None)
+    assert component.answer(cancel, task(), (1,), True) == (MavResult.ACCEPTED, "cancel")
+    assert component.answer(cancel, None, (1,), True) == (MavResult.ACCEPTED, None)
 
 
 def test_other_commands_are_not_supported() -> None:
     reply = component.answer(command(MavCmd.COMPONENT_ARM_DISARM, 1), None, (1,), True)
-    assert reply.result == MavResult.UNSUPPORTED
+    assert reply == (MavResult.UNSUPPORTED, None)
 
 
 def test_a_command_int_means_the_same() -> None:
@@ -232,11 +224,11 @@ def test_the_pilot_is_told_of_a_finding_once_for_as_long_as_it_lasts() -> None:
         Finding(name, 1, severity, f"Compass 1: {name}", "It is off.", "")
         for name, severity in (("dip", "warning"), ("field", "bad"))
     )
-    teller = Teller(ServiceConfig(), Desk(), Schedule())
+    reporter = GroundStationReporter(ServiceConfig(), Desk(), Schedule())
     view = VehicleView(VehicleIdentity(1, 1, "ardupilot", "rover"), "rover", 2026.0)
     with SimulatedLink(vehicle) as link:
         for at_s, findings in enumerate(((), (dip,), (dip,), (field, dip), (field,), (field, dip))):
-            teller.tell(link, view, findings, float(at_s))
+            reporter.tell(link, view, findings, float(at_s))
     told = [(message.severity, message.text) for message in heard if isinstance(message, mav.Statustext)]
     dip_told, field_told = (MavSeverity.WARNING, "Compass 1: dip"), (MavSeverity.ERROR, "Compass 1: field")
     assert told == [dip_told, field_told, dip_told]
@@ -253,6 +245,6 @@ def test_the_heading_told_is_the_true_one_where_the_declination_is_known(
     view.compasses[1] = LiveCompass(1)
     view.compasses[1].latest = Heading(4.5, 20.0, 1, 1.0, true_rad, 0.02, (200.0, 0.0, 400.0))
     with SimulatedLink(vehicle) as link:
-        Teller(ServiceConfig(), Desk(), Schedule()).tell(link, view, (), 5.0)
+        GroundStationReporter(ServiceConfig(), Desk(), Schedule()).tell(link, view, (), 5.0)
     values = [message.value for message in heard if isinstance(message, mav.NamedValueFloat)]
     assert values == pytest.approx([told_deg, 1.15], abs=0.05)
