@@ -5,7 +5,7 @@ from __future__ import annotations
 import ipaddress
 import json
 import mimetypes
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -39,7 +39,7 @@ from mavcompass.service.web.bodies import (
 )
 from mavcompass.service.web.connections import MOST_HELD_BYTES
 from mavcompass.service.web.metrics import CONTENT_TYPE, Metrics
-from mavcompass.service.web.openapi import OPERATIONS, Operation, openapi
+from mavcompass.service.web.openapi import Operation, get, openapi, operations_of, post
 from mavcompass.service.web.security import MOST_BODY_BYTES, Guard, page_policy
 from mavcompass.service.web.state import moment_json, state_json
 from mavcompass.service.web.stream import Stream
@@ -79,7 +79,7 @@ def build_app(
         Route(f"{ENTER}{{token}}", page),
         Route("/register_service", register),
         Route("/openapi.json", _describe),
-        *(_route(operation, api) for operation in OPERATIONS),
+        *(_route(operation, api) for operation in operations_of(Api)),
         WebSocketRoute("/api/stream", Stream(station).endpoint),
         Route("/web/{name}", _part),
     ]
@@ -136,20 +136,19 @@ async def _describe(request: Request) -> Response:
 
 @cache
 def _description() -> bytes:
-    return json.dumps(openapi()).encode()
+    return json.dumps(openapi(operations_of(Api))).encode()
 
 
 def _route(operation: Operation, api: Api) -> Route:
     """Make the route of an operation, whose handler is given what it takes, checked."""
-    handler: Callable[..., Awaitable[Response]] = getattr(api, operation.handler)
 
     async def answer(request: Request) -> Response:
         if operation.takes is None:
-            return await handler()
+            return await operation.handler(api)
         if operation.where == "body":
-            return await handler(await _body(request, operation.takes))
+            return await operation.handler(api, await _body(request, operation.takes))
         given = request.path_params if operation.where == "path" else request.query_params
-        return await handler(parse_address(given, operation.takes))
+        return await operation.handler(api, parse_address(given, operation.takes))
 
     return Route(operation.path, answer, methods=[operation.method])
 
@@ -186,8 +185,14 @@ class _File(FileResponse):
     chunk_size = MOST_HELD_BYTES
 
 
+_BUSY = "Another procedure is under way: one motion at a time."
+_TAKEN = {202: "Taken; see its task.", 409: _BUSY, 503: "The service is stopping."}
+_NOT_THERE = {404: "There is none of this number."}
+_NOT_READ = {503: "They were not read yet."}
+
+
 class Api:
-    """Answer each operation; `openapi.OPERATIONS` says which, and what it takes."""
+    """Answer each operation."""
 
     def __init__(
         self,
@@ -206,37 +211,49 @@ class Api:
 
     # --- reading ------------------------------------------------------------------------------------
 
+    @get("/metrics", "Metrics for Prometheus.", {200: "Metrics."}, "text/plain")
     async def metrics(self) -> Response:
         return Response(self._metrics.render(), headers={"content-type": CONTENT_TYPE})
 
+    @get("/healthz", "Tell whether the service lives.", {200: "It does.", 503: "It is stuck."})
     async def health(self) -> Response:
         alive = self._is_alive()
         return JSONResponse(
             {"alive": alive} if alive else {"error": "The station is stuck."}, 200 if alive else 503
         )
 
+    @get("/readyz", "Tell whether the vehicle is heard.", {200: "It is.", 503: "It is not heard."})
     async def ready(self) -> Response:
         if self._station.connected:
             return JSONResponse({"ready": True})
         return JSONResponse({"error": self._station.link_error or "The vehicle is not heard."}, 503)
 
+    @get("/api/state", "Tell everything: link, vehicle, headings, findings, task.", {200: "State."})
     async def state(self) -> Response:
         return JSONResponse(state_json(self._station))
 
+    @get(
+        "/api/heading",
+        "Tell the latest heading of every compass.",
+        {200: "Headings.", 503: "The vehicle is not heard."},
+    )
     async def heading(self) -> Response:
         if not self._station.connected:
             return JSONResponse({"error": self._station.link_error or "The vehicle is not heard."}, 503)
         return JSONResponse(moment_json(self._station))
 
+    @get("/api/task", "Tell how the latest request is getting on.", {200: "Task.", **_NOT_THERE})
     async def task(self) -> Response:
         return _show(self._station.desk.current)
 
+    @get("/api/history", "List what was done, newest first.", {200: "Entries."})
     async def history(self, query: HistoryQuery) -> Response:
         entries = await run_in_threadpool(
             self._history.entries, query.kind, query.device, query.before, query.limit
         )
         return JSONResponse({"entries": [entry.head() for entry in entries]})
 
+    @get("/api/history/{entry}", "Tell one entry with its document.", {200: "Entry.", **_NOT_THERE})
     async def entry(self, asked: EntryPath) -> Response:
         entry = await self._entry(asked.entry)
         return JSONResponse(entry.head() | {"document": dict(entry.document)})
@@ -247,6 +264,12 @@ class Api:
             raise HTTPException(404, f"The history has no entry {number}.")
         return entry
 
+    @get(
+        "/api/history/{entry}/report",
+        "Show the HTML report of an entry.",
+        {200: "Report.", **_NOT_THERE},
+        "text/html",
+    )
     async def report(self, asked: EntryPath) -> Response:
         entry = await self._entry(asked.entry)
         if entry.report is None or not Path(entry.report).is_file():
@@ -254,6 +277,12 @@ class Api:
         headers = {"content-security-policy": f"{POLICY}; frame-ancestors 'none'"}
         return _File(entry.report, media_type="text/html", headers=headers)
 
+    @get(
+        "/api/history/{entry}/recording",
+        "Get the recording of a calibration (.tlog).",
+        {200: "Recording.", **_NOT_THERE},
+        "application/octet-stream",
+    )
     async def recording(self, asked: EntryPath) -> Response:
         entry = await self._entry(asked.entry)
         path = recording_path(self._config.folder, entry.id)
@@ -267,9 +296,15 @@ class Api:
             raise MavCompassError("The compass parameters were not read yet.", "Try again in a moment.")
         return dict(view.parameters)
 
+    @get("/api/parameters", "Tell the compass parameters in force.", {200: "Parameters.", **_NOT_READ})
     async def parameters(self) -> Response:
         return JSONResponse({"parameters": self._in_force()})
 
+    @post(
+        "/api/parameters/diff",
+        "Compare parameters with those in force; nothing is written.",
+        {200: "Differences.", **_NOT_READ},
+    )
     async def difference(self, wanted: Comparing) -> Response:
         now = self._in_force()
         changes = [
@@ -280,12 +315,15 @@ class Api:
 
     # --- writing and moving -------------------------------------------------------------------------
 
+    @post("/api/calibration", "Start a calibration. The vehicle may move.", _TAKEN)
     async def calibrate(self, wanted: CalibrationRequest) -> Response:
         return self._take(replace(wanted, compasses=tuple(sorted(wanted.compasses))))
 
+    @post("/api/check", "Start a pre-flight check. With a turn, it moves.", _TAKEN)
     async def check(self, wanted: CheckRequest) -> Response:
         return self._take(wanted)
 
+    @post("/api/undo", "Put back what a calibration in the history replaced.", _TAKEN | _NOT_THERE)
     async def undo(self, wanted: Undoing) -> Response:
         entry = await self._entry(wanted.entry)
         if entry.undo_file is None:
@@ -295,12 +333,18 @@ class Api:
     def _take(self, request: TaskRequest) -> Response:
         return _show(self._station.desk.submit(request, "http", utc_now()), 202)
 
+    @post(
+        "/api/task/answer",
+        "Answer the question that the task asks.",
+        {200: "Task.", 409: "No question is open."},
+    )
     async def answer(self, answer: Answer) -> Response:
         task = self._station.desk.current
         if task is None or not task.give_answer(answer.yes):
             raise HTTPException(409, "No question is open.")
         return _show(task)
 
+    @post("/api/task/stop", "Stop what is under way, safely.", {200: "Task.", 409: "Nothing is under way."})
     async def stop(self, _: Nothing) -> Response:
         task = self._station.desk.current
         if task is None or task.finished:
@@ -308,12 +352,18 @@ class Api:
         task.stop.reason = task.stop.reason or "Stopped from the page."
         return _show(task)
 
+    @post(
+        "/api/gap",
+        "Explain why a calibration's recording differs from the simulation; takes minutes.",
+        _TAKEN | _NOT_THERE,
+    )
     async def explain(self, wanted: Explaining) -> Response:
         entry = await self._entry(wanted.entry)
         if entry.kind != "calibration" or not recording_path(self._config.folder, entry.id).is_file():
             raise HTTPException(404, f"Entry {entry.id} has no recording.")
         return _show(self._gaps.submit(entry), 202)
 
+    @get("/api/gap", "Tell how the latest diagnosis is getting on.", {200: "Task.", **_NOT_THERE})
     async def explanation(self) -> Response:
         return _show(self._gaps.desk.current)
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from functools import partial
 from typing import Any, Literal, get_type_hints
 
 import msgspec
+from starlette.responses import Response
 
 from mavcompass import __version__
-from mavcompass.service.web import bodies
-from mavcompass.service.work.tasks import CalibrationRequest, CheckRequest
 
 _REFERENCE = "#/components/schemas/{name}"
 _ERROR = {
@@ -21,21 +20,24 @@ _ERROR = {
 }
 
 
+Handler = Callable[..., Awaitable[Response]]
+
+
 @dataclass(frozen=True, slots=True)
 class Operation:
     """Describe one operation: who does it, what it does, which statuses it answers with.
 
     Attributes:
-        handler: name of the method of `app.Api`. takes: the model of the body, else of the address.
+        takes: the model of the body, else of the address; None where its handler takes nothing.
     """
 
     method: str
-    handler: str
+    handler: Handler
     path: str
     summary: str
     statuses: Mapping[int, str]
-    takes: type | None = None
-    content: str = "application/json"
+    content: str
+    takes: type | None
 
     @property
     def where(self) -> Literal["body", "path", "query"]:
@@ -43,117 +45,36 @@ class Operation:
         return "body" if self.method == "post" else "path" if "{" in self.path else "query"
 
 
-_BUSY = "Another procedure is under way: one motion at a time."
-_TAKEN = {202: "Taken; see its task.", 409: _BUSY, 503: "The service is stopping."}
-_NOT_THERE = {404: "There is none of this number."}
+def operation(
+    method: str, path: str, summary: str, statuses: Mapping[int, str], content: str = "application/json"
+) -> Callable[[Handler], Handler]:
+    """Make a method of an interface an operation of it; what it takes is the type of its argument."""
 
-_get = partial(Operation, "get")
-_post = partial(Operation, "post")
+    def decorate(handler: Handler) -> Handler:
+        takes = [kind for name, kind in get_type_hints(handler).items() if name != "return"]
+        described = Operation(method, handler, path, summary, statuses, content, *(takes or [None]))
+        handler.operation = described  # type: ignore[attr-defined]
+        return handler
 
-OPERATIONS = (
-    _get("state", "/api/state", "Tell everything: link, vehicle, headings, findings, task.", {200: "State."}),
-    _get(
-        "heading",
-        "/api/heading",
-        "Tell the latest heading of every compass.",
-        {200: "Headings.", 503: "The vehicle is not heard."},
-    ),
-    _get("task", "/api/task", "Tell how the latest request is getting on.", {200: "Task.", **_NOT_THERE}),
-    _post(
-        "calibrate",
-        "/api/calibration",
-        "Start a calibration. The vehicle may move.",
-        _TAKEN,
-        CalibrationRequest,
-    ),
-    _post("check", "/api/check", "Start a pre-flight check. With a turn, it moves.", _TAKEN, CheckRequest),
-    _post(
-        "answer",
-        "/api/task/answer",
-        "Answer the question that the task asks.",
-        {200: "Task.", 409: "No question is open."},
-        bodies.Answer,
-    ),
-    _post(
-        "stop",
-        "/api/task/stop",
-        "Stop what is under way, safely.",
-        {200: "Task.", 409: "Nothing is under way."},
-        bodies.Nothing,
-    ),
-    _post(
-        "undo",
-        "/api/undo",
-        "Put back what a calibration in the history replaced.",
-        _TAKEN | _NOT_THERE,
-        bodies.Undoing,
-    ),
-    _get(
-        "history", "/api/history", "List what was done, newest first.", {200: "Entries."}, bodies.HistoryQuery
-    ),
-    _get(
-        "entry",
-        "/api/history/{entry}",
-        "Tell one entry with its document.",
-        {200: "Entry.", **_NOT_THERE},
-        bodies.EntryPath,
-    ),
-    _get(
-        "report",
-        "/api/history/{entry}/report",
-        "Show the HTML report of an entry.",
-        {200: "Report.", **_NOT_THERE},
-        bodies.EntryPath,
-        content="text/html",
-    ),
-    _get(
-        "recording",
-        "/api/history/{entry}/recording",
-        "Get the recording of a calibration (.tlog).",
-        {200: "Recording.", **_NOT_THERE},
-        bodies.EntryPath,
-        content="application/octet-stream",
-    ),
-    _get(
-        "parameters",
-        "/api/parameters",
-        "Tell the compass parameters in force.",
-        {200: "Parameters.", 503: "They were not read yet."},
-    ),
-    _post(
-        "difference",
-        "/api/parameters/diff",
-        "Compare parameters with those in force; nothing is written.",
-        {200: "Differences.", 503: "They were not read yet."},
-        bodies.Comparing,
-    ),
-    _post(
-        "explain",
-        "/api/gap",
-        "Explain why a calibration's recording differs from the simulation; takes minutes.",
-        _TAKEN | _NOT_THERE,
-        bodies.Explaining,
-    ),
-    _get(
-        "explanation",
-        "/api/gap",
-        "Tell how the latest diagnosis is getting on.",
-        {200: "Task.", **_NOT_THERE},
-    ),
-    _get("metrics", "/metrics", "Metrics for Prometheus.", {200: "Metrics."}, content="text/plain"),
-    _get("health", "/healthz", "Tell whether the service lives.", {200: "It does.", 503: "It is stuck."}),
-    _get("ready", "/readyz", "Tell whether the vehicle is heard.", {200: "It is.", 503: "It is not heard."}),
-)
+    return decorate
 
 
-def openapi() -> dict[str, Any]:
+get, post = partial(operation, "get"), partial(operation, "post")
+
+
+def operations_of(interface: type) -> tuple[Operation, ...]:
+    """List the operations of an interface, in the order in which they stand in it."""
+    return tuple(one.operation for one in vars(interface).values() if hasattr(one, "operation"))
+
+
+def openapi(operations: Sequence[Operation]) -> dict[str, Any]:
     """Build the description."""
-    taken = {operation.takes for operation in OPERATIONS if operation.where == "body"} - {None}
+    taken = {operation.takes for operation in operations if operation.where == "body"} - {None}
     _, schemas = msgspec.json.schema_components(taken, ref_template=_REFERENCE)
     for schema in schemas.values():
         schema["additionalProperties"] = False
     paths: dict[str, dict[str, Any]] = {}
-    for operation in OPERATIONS:
+    for operation in operations:
         paths.setdefault(operation.path, {})[operation.method] = _describe(operation)
     return {
         "openapi": "3.1.0",

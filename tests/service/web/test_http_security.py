@@ -13,10 +13,10 @@ from websockets.sync.client import connect
 
 from mavcompass.errors import UsageError
 from mavcompass.service.config import HttpConfig
-from mavcompass.service.web.openapi import OPERATIONS
+from mavcompass.service.web.app import Api, operations_of
 from mavcompass.service.web.security import load_token
 
-WRITING = [operation.path for operation in OPERATIONS if operation.method == "post"]
+WRITING = [operation.path for operation in operations_of(Api) if operation.method == "post"]
 
 
 def test_every_request_that_is_not_reading_needs_the_token(quiet: RunningService) -> None:
