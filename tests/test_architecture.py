@@ -61,8 +61,9 @@ ROWS = {
         {"link", "lock", "stopping"},
     ],
     "procedure": [
-        {"calibrate", "check", "flying", "learnt"},
-        {"autopilot_heading", "writing"},
+        {"calibrate", "check", "flying"},
+        {"writing"},
+        {"autopilot_heading"},
         {"report", "settings"},
         {"motion"},
         {"desk"},
@@ -75,7 +76,6 @@ ROWS = {
     ],
     "cli": [
         {"main"},
-        {"first_look"},
         {"calibrate", "check", "doctor", "fleet", "gap", "heading", "params", "replay", "serve", "simulate"},
         {"calibration"},
         {"source"},
@@ -97,7 +97,7 @@ ROWS = {
     ],
     "service": [
         {"run", "mavproxy"},
-        {"web", "systemd"},
+        {"web"},
         {"station"},
         {"mavlink"},
         {"work"},

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -212,24 +211,16 @@ def command(
 
         parameter_form(params_out)  # a wrong suffix is told before the vehicle moves
     require_for(address, report=report_file)
-    from mavcompass.cli.calibration.recording import Wanted
-
     if continuous and (motion == "hand" or method not in ("auto", "four-positions")):
         raise UsageError(
             "--continuous is for a vehicle that turns itself, by four-positions.", "Leave it away."
         )
-    heading = _given(method, motion, true_heading_deg, true_heading_sigma_deg)
-    wanted = Wanted(source, method, instances, max_error_deg, params_out, report_file, output, heading)
-    if isinstance(address, Recording):
-        from mavcompass.cli.calibration.recording import solve_recording
-
-        return solve_recording(wanted, in_force_file, orientation)
-    if in_force_file is not None:
-        raise UsageError("--in-force is for recordings.", "A live vehicle tells its parameters itself.")
-    refuse_unasked_write(yes, dry_run)
-    if method == "auto":
-        wanted = replace(wanted, method="four-positions")
-    from mavcompass.cli.calibration.vehicle import calibrate_vehicle
+    if not isinstance(address, Recording):
+        if in_force_file is not None:
+            raise UsageError("--in-force is for recordings.", "A live vehicle tells its parameters itself.")
+        refuse_unasked_write(yes, dry_run)
+        method = "four-positions" if method == "auto" else method
+    from mavcompass.cli.calibration import Results, calibrate_all, calibrate_vehicle, solve_recording
     from mavcompass.procedure.motion import Permissions
     from mavcompass.procedure.positions import DwellSettings
     from mavcompass.procedure.settings import CalibrateSettings
@@ -237,8 +228,8 @@ def command(
     writing: Literal["ask", "yes", "never"] = "yes" if yes else "never" if dry_run else "ask"
     settings = CalibrateSettings(
         instances=instances,
-        method=wanted.method,
-        true_heading=heading,
+        method=method,
+        true_heading=_given(method, motion, true_heading_deg, true_heading_sigma_deg),
         max_heading_error_deg=max_error_deg,
         motion=motion,  # type: ignore[arg-type]
         turn_by=turn_by,  # type: ignore[arg-type]
@@ -254,13 +245,13 @@ def command(
         continuous=continuous,
         dwell=DwellSettings() if dwell_s is None else DwellSettings(dwell_s=dwell_s, shortest_s=dwell_s),
     )
+    results = Results(source, output, params_out, report_file)
+    if isinstance(address, Recording):
+        return solve_recording(results, settings, in_force_file)
     by_hand = motion == "hand" or method == "autopilot"
     with open_source(address, effects, turn_by != "auto", by_hand) as link:
-        if system == "all":
-            from mavcompass.cli.calibration.vehicle import calibrate_all
-
-            return calibrate_all(link, wanted, settings, speak)
-        return calibrate_vehicle(link, wanted, settings, speak)
+        calibrate = calibrate_all if system == "all" else calibrate_vehicle
+        return calibrate(link, results, settings, speak)
 
 
 def _given(

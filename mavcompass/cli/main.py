@@ -123,7 +123,7 @@ def program(context: click.Context) -> int | None:
     if not (sys.stdin.isatty() and sys.stdout.isatty()):
         click.echo(context.get_help(), err=True)
         context.exit(WRONG_USAGE)
-    from mavcompass.cli.first_look import NOBODY, look_around
+    from mavcompass.cli.doctor import NOBODY, look_around
 
     command = look_around()
     return int(program.main(command, "mavcompass", standalone_mode=False) or 0) if command else NOBODY

@@ -1,4 +1,4 @@
-"""Put the service together, run it until it is told to stop, and stop it gracefully."""
+"""Put the service together, run it until it is told to stop, and stop it gracefully; tell systemd of it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import logging
 import os
 import signal
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 import uvicorn
@@ -17,7 +17,6 @@ from mavcompass.errors import UsageError
 from mavcompass.service.addresses import page_urls
 from mavcompass.service.config import ServiceConfig, split_host_port
 from mavcompass.service.station import OpenLink, Station
-from mavcompass.service.systemd import Notifier
 from mavcompass.service.web.app import build_app
 from mavcompass.service.web.connections import (
     ACCEPTED_AT_A_TIME,
@@ -29,9 +28,9 @@ from mavcompass.service.web.connections import (
     listen_bounded,
 )
 from mavcompass.service.web.security import load_token
-from mavcompass.service.web.stream import MOST_HEARD_BYTES
-from mavcompass.service.work.gaps import Gaps
+from mavcompass.service.web.state import MOST_HEARD_BYTES
 from mavcompass.service.work.history import History
+from mavcompass.service.work.jobs import Gaps
 from mavcompass.vehicle.link import Link
 from mavcompass.vehicle.transport import Reconnect, Simulated, parse_address
 from mavcompass.vehicle.wire import Signing
@@ -219,3 +218,53 @@ def _listen(listen: str) -> socket.socket:
     # asyncio does so only where the socket names its protocol; else an answer waits 40 ms for an ACK.
     listener.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return listener
+
+
+class Notifier:
+    """Send notifications to the service manager; without one (NOTIFY_SOCKET unset) do nothing."""
+
+    def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
+        address = environment.get("NOTIFY_SOCKET", "")
+        # "@" stands for the null byte of Linux's abstract names.
+        self._address = "\0" + address[1:] if address.startswith("@") else address
+        self.watchdog_s = _watchdog_s(environment)
+
+    @property
+    def active(self) -> bool:
+        """Tell whether a service manager listens."""
+        return bool(self._address)
+
+    def ready(self, status: str) -> None:
+        """Say that the service does its work."""
+        self._send(f"READY=1\nSTATUS={status}")
+
+    def status(self, text: str) -> None:
+        """Set the line that `systemctl status` shows."""
+        self._send(f"STATUS={text}")
+
+    def alive(self) -> None:
+        """Keep the watchdog from restarting us."""
+        self._send("WATCHDOG=1")
+
+    def stopping(self) -> None:
+        """Say that the service is ending as it should."""
+        self._send("STOPPING=1")
+
+    def _send(self, text: str) -> None:
+        if not self._address:
+            return
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sender:
+            try:
+                sender.sendto(text.encode(), self._address)
+            except OSError:
+                pass  # the manager went away; it will restart us if it wants
+
+
+def _watchdog_s(environment: Mapping[str, str]) -> float | None:
+    """Return the watchdog's time, None where there is none or it is meant for another process."""
+    if environment.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
+        return None
+    try:
+        return int(environment["WATCHDOG_USEC"]) * 1e-6
+    except (KeyError, ValueError):
+        return None

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from calibration_worlds import Iron, turning_track
 
-from mavcompass.cli.calibration import recording
+from mavcompass.cli import calibration
 from mavcompass.cli.main import main
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.track import InForce, Track
@@ -32,7 +32,7 @@ def flight(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def reading(track: Track, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = folder / "flight.BIN"
     path.write_bytes(b"")
-    monkeypatch.setattr(recording.api, "read_track", lambda source: replace(track, source=str(source)))
+    monkeypatch.setattr(calibration.api, "read_track", lambda source: replace(track, source=str(source)))
     return path
 
 

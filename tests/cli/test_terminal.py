@@ -12,8 +12,8 @@ from click.testing import CliRunner
 from rich.console import Console
 from rich.progress import Progress
 
-from mavcompass.cli import calibrate, first_look
-from mavcompass.cli.calibration.vehicle import _told_later
+from mavcompass.cli import calibrate, doctor
+from mavcompass.cli.calibration import _told_later
 from mavcompass.cli.heading import Row
 from mavcompass.cli.main import main
 from mavcompass.cli.options import Output
@@ -147,12 +147,12 @@ def test_alone_it_finds_vehicles_and_asks_at_most_three_questions(
     def at(place: str) -> list[tuple[str, VehicleIdentity]]:
         return [(place, VehicleIdentity(n, 1, "ardupilot", "rover")) for n in heard.get(place, ())]
 
-    monkeypatch.setattr(first_look, "vehicles_at", at)
+    monkeypatch.setattr(doctor, "vehicles_at", at)
     found: list[str] = []
 
     @click.command()
     def look() -> None:
-        found.extend(first_look.look_around())
+        found.extend(doctor.look_around())
 
     result = CliRunner().invoke(look, input=answers, catch_exceptions=False)
     assert found == command, result.output
@@ -160,5 +160,5 @@ def test_alone_it_finds_vehicles_and_asks_at_most_three_questions(
 
 
 def test_a_vehicle_is_heard_where_one_is_and_nobody_elsewhere() -> None:
-    assert [v.kind for _, v in first_look.vehicles_at("sim:rover")] == ["rover"]
-    assert first_look.vehicles_at("tcp:127.0.0.1:1") == []
+    assert [v.kind for _, v in doctor.vehicles_at("sim:rover")] == ["rover"]
+    assert doctor.vehicles_at("tcp:127.0.0.1:1") == []

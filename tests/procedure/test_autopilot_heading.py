@@ -12,7 +12,7 @@ import pytest
 from bent_vehicles import bent_vehicle, calibrated
 
 from mavcompass.calibration.result import CalibrationResult
-from mavcompass.cli.calibration.vehicle import say_outcome
+from mavcompass.cli.calibration import say_outcome
 from mavcompass.cli.options import Output
 from mavcompass.correction import IDENTITY
 from mavcompass.earth_field import EarthField

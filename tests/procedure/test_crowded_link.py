@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 from bent_vehicles import bent_vehicle, calibrated
 
-from mavcompass.cli.calibration.recording import Wanted
-from mavcompass.cli.calibration.vehicle import calibrate_all
+from mavcompass.cli.calibration import Results, calibrate_all
 from mavcompass.cli.options import Output
 from mavcompass.messages import Message
 from mavcompass.procedure.settings import CalibrateSettings
@@ -86,7 +85,7 @@ def test_all_vehicles_are_turned_one_after_the_other_with_one_report(
     one, seven, nine = vehicle("rover", 1), vehicle("rover", 7), vehicle("boat", 9)
     nine.pilot_switches_mode("MANUAL")
     output = Output(str(tmp_path / "all.json"))
-    wanted = Wanted("sim:crowd", "four-positions", (1,), 2.0, tmp_path / "new.param", None, output)
+    wanted = Results("sim:crowd", output, tmp_path / "new.param")
     link = SimulatedLink(Crowd(nine, seven, one))
     code = calibrate_all(link, wanted, CalibrateSettings(writing="yes", rate_hz=10.0), speak=False)
     document = json.loads((tmp_path / "all.json").read_text())

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from mavcompass.service.systemd import Notifier
+from mavcompass.service.run import Notifier
 
 
 @pytest.fixture

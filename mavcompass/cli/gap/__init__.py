@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from mavcompass.cli.gap.commands import command
 from mavcompass.cli.gap.fly import fly
-from mavcompass.cli.gap.rehearsing import rehearse
 
 command.add_command(fly)
-command.add_command(rehearse)
 
 __all__ = ["command"]

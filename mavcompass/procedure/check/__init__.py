@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from mavcompass.procedure.check.items import CheckReport
 from mavcompass.procedure.check.preflight import CheckSettings, check
-from mavcompass.procedure.check.report import CheckReport
 
 __all__ = [
     "CheckReport",

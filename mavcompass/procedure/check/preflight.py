@@ -26,9 +26,8 @@ from mavcompass.heading.fault_isolation import HeadingSource
 from mavcompass.heading.true_north import TrueNorth
 from mavcompass.parameter_remarks import parameter_remarks
 from mavcompass.procedure.check import items
-from mavcompass.procedure.check.items import AGREEMENT_SIGMA_DEG, CheckItem, Reading
+from mavcompass.procedure.check.items import AGREEMENT_SIGMA_DEG, CheckItem, CheckReport, Reading
 from mavcompass.procedure.check.mounting import turned_by
-from mavcompass.procedure.check.report import CheckReport
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.desk import Desk, carriers
 from mavcompass.procedure.dialect import Dialect

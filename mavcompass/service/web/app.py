@@ -41,11 +41,10 @@ from mavcompass.service.web.connections import MOST_HELD_BYTES
 from mavcompass.service.web.metrics import CONTENT_TYPE, Metrics
 from mavcompass.service.web.openapi import Operation, get, openapi, operations_of, post
 from mavcompass.service.web.security import MOST_BODY_BYTES, Guard, page_policy
-from mavcompass.service.web.state import moment_json, state_json
-from mavcompass.service.web.stream import Stream
+from mavcompass.service.web.state import Stream, moment_json, state_json
 from mavcompass.service.work.clock import utc_now
-from mavcompass.service.work.gaps import Gaps
 from mavcompass.service.work.history import Entry, History
+from mavcompass.service.work.jobs import Gaps
 from mavcompass.service.work.results import recording_path
 from mavcompass.service.work.tasks import Busy, CalibrationRequest, CheckRequest, Task, UndoRequest
 from mavcompass.service.work.tasks import Request as TaskRequest

@@ -1,8 +1,9 @@
-"""Carry out requests on the link, one at a time, while everything else goes on."""
+"""Carry out requests on the link, one at a time, while everything else goes on; diagnoses beside that."""
 
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -13,22 +14,30 @@ from mavcompass.errors import MavCompassError, Refused
 from mavcompass.messages import Incoming
 from mavcompass.procedure.check import CheckReport, CheckSettings, check
 from mavcompass.procedure.dialect import Dialect
-from mavcompass.procedure.learnt import write_learnt
 from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Ask, Context, Machine, Script, Show
+from mavcompass.procedure.writing import write_learnt
 from mavcompass.service.config import ServiceConfig
 from mavcompass.service.view import VehicleView
 from mavcompass.service.watch import Finding
 from mavcompass.service.work import clock
 from mavcompass.service.work.clock import utc_now
-from mavcompass.service.work.history import History
+from mavcompass.service.work.history import Entry, History
 from mavcompass.service.work.learning import Learning
 from mavcompass.service.work.north import NorthKeeper
-from mavcompass.service.work.results import Recorder, Results, old_and_new, sigma_deg
+from mavcompass.service.work.results import Recorder, Results, old_and_new, recording_path, sigma_deg
 from mavcompass.service.work.staleness import stale_findings
-from mavcompass.service.work.tasks import LEARNT, CalibrationRequest, CheckRequest, Task, UndoRequest
-from mavcompass.service.work.worker import Worker
+from mavcompass.service.work.tasks import (
+    LEARNT,
+    CalibrationRequest,
+    CheckRequest,
+    Desk,
+    GapRequest,
+    Task,
+    UndoRequest,
+)
+from mavcompass.service.work.worker import DIAGNOSE_S, Worker, diagnose
 from mavcompass.vehicle.calibrating import calibration_machine, solve
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import PollAnswer, run
@@ -251,3 +260,61 @@ def _was_written(record: UndoRecord, now: Mapping[str, float]) -> bool:
     return bool(changed) and all(
         name in record.planned and same_value(now[name], record.planned[name]) for name in changed
     )
+
+
+class Gaps:
+    """Diagnose one recording at a time; the vehicle is not needed for it."""
+
+    def __init__(self, config: ServiceConfig, history: History) -> None:
+        self.desk = Desk()
+        self._config = config
+        self._history = history
+        self._worker = Worker()
+
+    def submit(self, entry: Entry) -> Task:
+        """Begin with the recording of a calibration. Raises Busy, or MavCompassError without a recording."""
+        path = recording_path(self._config.folder, entry.id)
+        if not path.is_file():
+            raise MavCompassError(
+                f"Calibration {entry.id} has no recording any more.",
+                "Choose a newer one, or calibrate again.",
+            )
+        task = self.desk.submit(GapRequest(str(path), entry.id), "http", utc_now())
+        self.desk.take()
+        threading.Thread(target=self._work, args=(task, entry), name="gap", daemon=True).start()
+        return task
+
+    def _work(self, task: Task, entry: Entry) -> None:
+        assert isinstance(task.request, GapRequest)
+        path = recording_path(self._config.folder, entry.id)
+        report = self._config.folder / "reports" / f"gap-{entry.id}.html"
+        task.show(Show("diagnose", "Replaying the recording through the simulation.", 0.1))
+        try:
+            document = self._worker.call(diagnose, path, report, timeout_s=DIAGNOSE_S)
+            summary = f"{document.get('verdict', 'unknown')}: {_causes(document) or 'nothing is named'}"
+            number = self._history.add(
+                "gap",
+                utc_now(),
+                entry.vehicle,
+                True,
+                summary,
+                document,
+                entry.compasses,
+                str(report),
+            )
+            task.finish(True, document, number)
+        except Exception as error:
+            if not isinstance(error, MavCompassError):
+                _log.exception("unexpected error in a diagnosis")
+            task.fail(error)
+        finally:
+            self._worker.end()
+
+    def stop(self) -> None:
+        """End a diagnosis that is under way."""
+        self.desk.close("The service is stopping.")
+        self._worker.close()
+
+
+def _causes(document: dict[str, Any]) -> str:
+    return ", ".join(str(cause.get("effect")) for cause in document.get("causes", ()))

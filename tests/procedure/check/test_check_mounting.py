@@ -10,9 +10,9 @@ import pytest
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import SENSOR_ORIENTATIONS_DEG, FloatArray, euler_to_matrix, sensor_orientation_matrix
 from mavcompass.procedure.check import check
+from mavcompass.procedure.check.items import CheckReport
 from mavcompass.procedure.check.mounting import turned_by
 from mavcompass.procedure.check.preflight import CheckSettings
-from mavcompass.procedure.check.report import CheckReport
 from mavcompass.procedure.script import Machine
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.dialects import make_dialect

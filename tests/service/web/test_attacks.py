@@ -19,9 +19,9 @@ from websockets.sync.client import connect
 from mavcompass.cli.serve import _key
 from mavcompass.enums import MavCmd
 from mavcompass.messages import CommandAck, CommandLong, Heartbeat, Incoming, Message, ParamValue, Statustext
-from mavcompass.service.web import connections, stream
+from mavcompass.service.web import connections, state
 
-PAGE = Path(stream.__file__).with_name("page")
+PAGE = Path(state.__file__).with_name("page")
 
 
 @contextmanager
@@ -173,7 +173,7 @@ def test_chunks_without_end_are_cut_off(quiet: RunningService) -> None:
 def test_a_listener_that_talks_too_much_is_dropped(quiet: RunningService) -> None:
     url = quiet.service.url.replace("http", "ws") + "api/stream"
     with connect(url) as listener:
-        listener.send("x" * (stream.MOST_HEARD_BYTES + 1))
+        listener.send("x" * (state.MOST_HEARD_BYTES + 1))
         with pytest.raises(ConnectionClosed):
             for _ in range(200):
                 listener.recv(timeout=300.0)
