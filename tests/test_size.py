@@ -16,10 +16,10 @@ LINES = {
     "package vehicle messages enums.py": (7_753, 5_200),
     "package procedure": (6_332, 4_400),
     "package service": (5_353, 4_100),
-    "package logs": (4_495, 3_600),
+    "package logs": (4_497, 3_600),
     "package cli": (4_040, 2_900),
-    "package": (66_638, 46_500),
-    "tests": (44_528, 29_000),
+    "package": (66_640, 46_500),
+    "tests": (44_548, 29_000),
     "scripts benchmarks/compassbench": (1_565, 1_000),
     "scripts": (10_080, 4_400),
 }

@@ -96,6 +96,26 @@ def test_the_place_date_and_thrust_of_an_older_firmware(tmp_path: Path) -> None:
     assert track.utc_offset_s == pytest.approx(1_700_000_000.0)
 
 
+@pytest.mark.parametrize("prime", [66, None])
+def test_a_corrected_field_that_names_no_sensor_is_of_the_one_that_steers(
+    tmp_path: Path, prime: int | None
+) -> None:
+    """As of PX4 1.11: CAL_MAG_PRIME tells the one that steers; else it is one of those that there are."""
+    log = ULogFile()
+    log.topic("sensor_mag", "uint32_t device_id", "float x", "float y", "float z")
+    log.topic("vehicle_magnetometer", "float[3] magnetometer_ga")
+    for slot, device in enumerate((55, 66)):
+        log.parameter(f"CAL_MAG{slot}_ID", device)
+        for n in range(10):
+            log.add("sensor_mag", 2_000_000 + n * 1_000_000, device, 0.1, 0.02, -0.4, instance=slot)
+    if prime is not None:
+        log.parameter("CAL_MAG_PRIME", prime)
+    for n in range(140):
+        log.add("vehicle_magnetometer", 2_000_000 + n * 70_000, 0.2, 0.0, -0.4)
+    found = read_track(log.write(tmp_path / "a.ulg")).compasses
+    assert {i: len(c.reported) for i, c in found.items()} == {1: 10, 2: 140 if prime else 10}
+
+
 def test_free_angles_turn_the_readings_and_a_number_that_px4_does_not_know_does_not(tmp_path: Path) -> None:
     turned = read_track(modern(tmp_path / "a.ulg", rotation=100, yaw_deg=-90.0))
     np.testing.assert_allclose(turned.raw_field(2)[0], [20.0, -100.0, -400.0], atol=1e-5)

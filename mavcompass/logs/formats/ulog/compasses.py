@@ -53,7 +53,7 @@ def compasses(
     found: dict[int, MagSeries] = {}
     raw = [d for d in topics.get("sensor_mag", ()) if d.has("x", "y", "z") and not d.has("x_raw")]
     for data in raw:
-        device_id = _device_id(data)
+        device_id = _device_ids(data)[0]
         instance = _instance(device_id, parameters, found)
         field = data.vector("x", "y", "z") * MGAUSS_PER_GAUSS
         rotation = px4_sensor_to_body(parameters, instance)
@@ -67,15 +67,14 @@ def compasses(
             )  # fmt: skip
     for data in topics.get("vehicle_magnetometer", ()):
         if data.has(*_FIELD):
-            for device_id in _device_ids(data):
+            for device_id in _device_ids(data, _prime(parameters)):
                 _add_denser(found, topics, data, device_id, history, parameters)
     if found:
         notes += [unknown_correction(i) for i, compass in found.items() if not compass.correction_known]
         return found, notes
     for data in topics.get("sensor_combined", ())[:1]:
         if data.has(*_FIELD):
-            prime = parameters.get("CAL_MAG_PRIME")
-            device = None if prime is None else int(prime)
+            device = _prime(parameters)
             instance = _instance(device, parameters, found)
             times = _combined_time_s(data)
             reported = finite_series(
@@ -100,6 +99,8 @@ def _add_denser(
     """Add a compass by its corrected field, in place of its raw readings where these are much sparser."""
     rows = _rows_of(data, device_id)
     instance = next((i for i, compass in found.items() if compass.device_id == device_id), None)
+    if instance is None and device_id is None and found:
+        return  # one of those that are there already; nobody knows which
     if instance is None:
         instance = _instance(device_id, parameters, found)
     elif np.count_nonzero(rows) < _denser(found[instance].time_s) * len(found[instance].reported):
@@ -123,22 +124,23 @@ def _denser(raw_s: FloatArray) -> float:
     return _DENSER_THAN_SLOW if slow else _DENSER
 
 
-def _device_ids(data: Topic) -> list[int | None]:
+def _device_ids(data: Topic, untold: int | None = None) -> list[int | None]:
     """List the sensors whose readings a topic carries: PX4 may change from one to another."""
     ids = data.data.get("device_id")
-    return [None] if ids is None or not len(ids) else list(dict.fromkeys(int(i) for i in ids))
+    return [untold] if ids is None or not len(ids) else list(dict.fromkeys(int(i) for i in ids))
+
+
+def _prime(parameters: Mapping[str, float]) -> int | None:
+    """Return the sensor that steers, of which corrected readings are where they do not say whose they are."""
+    prime = parameters.get("CAL_MAG_PRIME")
+    return None if prime is None else int(prime)
 
 
 def _rows_of(data: Topic, device_id: int | None) -> BoolArray:
     count = len(data.data["timestamp"])
-    if device_id is None:
+    if device_id is None or "device_id" not in data.data:
         return np.ones(count, dtype=np.bool_)
     return np.asarray(np.asarray(data.data["device_id"]) == device_id, dtype=np.bool_)
-
-
-def _device_id(data: Topic) -> int | None:
-    ids = data.data.get("device_id")
-    return None if ids is None or not len(ids) else int(ids[0])
 
 
 def _instance(device_id: int | None, parameters: Mapping[str, float], taken: Mapping[int, object]) -> int:
