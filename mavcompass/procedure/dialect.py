@@ -148,11 +148,10 @@ class Dialect(ABC):
         """
 
     @abstractmethod
-    def arming_exemption(self, context: Context, said: Sequence[str]) -> Script[Mapping[str, float]]:
+    def arming_exemption(self, context: Context, reasons: Sequence[str]) -> Script[Mapping[str, float]]:
         """Return the parameters that keep one arming check from looking at the compass's calibration.
 
-        `said` are the vehicle's texts since it was to arm; empty where they name anything beside that, or
-        nothing.
+        `reasons` are the vehicle's not to arm; empty where they name anything beside that, or nothing.
         """
 
     def prompt_estimator(self, parameters: Mapping[str, float], flying: bool) -> Mapping[str, float]:

@@ -7,6 +7,7 @@ compass alone, which is the one to be calibrated, that check is set aside until 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -30,6 +31,8 @@ _PLACE_WITHIN_S = 3.0
 _INSISTS_S = 12.0
 # After a stop nothing is waited for: the autopilot lands by itself once told to.
 _HURRIED_S = 3.0
+# ArduPilot and PX4 name every reason not to arm, each in a text.
+_REASON = re.compile(r"(?:(?:Pre)?Arm|Preflight Fail): ?(.*)")
 _PX4_TAKEOFF, _PX4_HOLD = (4 << 16 | sub << 24 for sub in (2, 3))
 
 
@@ -50,6 +53,11 @@ class Permissions:
     exempt: Literal["ask", "yes", "never"] = "ask"
 
 
+def arming_reasons(said: Sequence[str]) -> list[str]:
+    """Return why a vehicle does not arm, out of what it said."""
+    return [reason[1] for text in said if (reason := _REASON.match(text))]
+
+
 @dataclass(slots=True)
 class Readiness:
     """Make ready, and put back: the flight mode, the arming, the place on the ground."""
@@ -61,6 +69,7 @@ class Readiness:
     by_controls: bool = False
     overrides: Overrides | None = None
     _armed_by_us: bool = field(default=False)
+    _said: list[str] = field(default_factory=list)
     _in_the_air_by_us: bool = field(default=False)
 
     def make(self, context: Context) -> Script[None]:
@@ -124,10 +133,10 @@ class Readiness:
                 "Arm it (a copter: take off), allow that with --arm, or turn it by hand with --motion hand.",
             )
         context.show("ready", "Arming.")
-        said = yield from self._ask(context, MavCmd.COMPONENT_ARM_DISARM, 1.0, what="arming")
+        yield from self._ask(context, MavCmd.COMPONENT_ARM_DISARM, 1.0, what="arming")
         if not self.state.armed:
             own = self.overrides
-            if own is not None and (exemption := (yield from self._exemption(context, own, said))):
+            if own is not None and (exemption := (yield from self._exemption(context, own))):
                 yield from own.hold(context, exemption)
                 why = "The arming check is asked again."
                 yield from own.put_back_after(context, self._insist(context), why)
@@ -136,7 +145,7 @@ class Readiness:
                 yield from self._insist(context)
             if not self.state.armed:
                 raise Refused(
-                    f"The vehicle refused to arm.{self._last_words()}",
+                    f"The vehicle refused to arm.{self._why()}",
                     "Put right what it names, then run again; turning it by hand needs no arming.",
                 )
 
@@ -146,15 +155,12 @@ class Readiness:
         while not self.state.armed and context.now < end_s:
             yield from self._ask(context, MavCmd.COMPONENT_ARM_DISARM, 1.0, what="arming")
 
-    def _ask(
-        self, context: Context, number: MavCmd, *parameters: float, what: str
-    ) -> Script[tuple[str, ...]]:
-        """Ask it to arm, or why not; return what it said meanwhile: texts come beside the answer."""
-        said: list[str] = []
+    def _ask(self, context: Context, number: MavCmd, *parameters: float, what: str) -> Script[None]:
+        """Ask it to arm, or why not, and note what it says meanwhile: texts come beside the answer."""
 
         def note(incoming: Incoming) -> None:
             if isinstance(incoming.message, Statustext):
-                said.append(printable(incoming.message.text))
+                self._said.append(printable(incoming.message.text))
 
         context.listeners.append(note)
         try:
@@ -166,16 +172,14 @@ class Readiness:
         finally:
             context.listeners.remove(note)
             self._armed_by_us = self.state.armed
-        return tuple(said)
 
-    def _exemption(
-        self, context: Context, own: Overrides, said: Sequence[str]
-    ) -> Script[Mapping[str, float]]:
+    def _exemption(self, context: Context, own: Overrides) -> Script[Mapping[str, float]]:
         """Return what sets the compass's arming check aside, where that alone refuses and a person agrees."""
-        values = yield from own.dialect.arming_exemption(context, said)
+        values = yield from own.dialect.arming_exemption(context, arming_reasons(self._said))
         if not values:  # PX4 says why when that begins, and when it is asked for it; not when it refuses
-            said = yield from self._ask(context, MavCmd.RUN_PREARM_CHECKS, what="its arming checks")
-            values = yield from own.dialect.arming_exemption(context, said)
+            self._said.clear()
+            yield from self._ask(context, MavCmd.RUN_PREARM_CHECKS, what="its arming checks")
+            values = yield from own.dialect.arming_exemption(context, arming_reasons(self._said))
         if not values:
             return {}
         what = "It refuses to arm for nothing but the compass, which is the one to be calibrated"
@@ -186,7 +190,7 @@ class Readiness:
             case "ask":
                 question = Ask(
                     f"Set the compass's arming check aside until it is armed ({aside})?",
-                    (f"{what}.{self._last_words()} All other checks stay.",),
+                    (f"{what}.{self._why()} All other checks stay.",),
                 )
                 return values if (yield from ask(context, question)) else {}
             case "never":
@@ -243,6 +247,11 @@ class Readiness:
     def _height_m(self) -> float:
         return 0.0 if self.state.place is None else self.state.place.relative_alt * 1e-3
 
+    def _why(self) -> str:
+        """Return why it does not arm, as it said when it was asked."""
+        reasons = dict.fromkeys(arming_reasons(self._said) or self._said[-1:])
+        return f" It said: {'; '.join(reasons)}." if reasons else ""
+
     def _last_words(self) -> str:
-        """Return what the vehicle said last about it, if anything."""
+        """Return what the vehicle said last, if anything."""
         return f" It said: {self.state.texts[-1]}." if self.state.texts else ""

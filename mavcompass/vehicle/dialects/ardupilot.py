@@ -45,8 +45,6 @@ _SPELLING_PROBES = ("COMPASS_OFS_X", "COMPASS1_OFS_X")
 _MATRIX = tuple(f"{stem}_{axis}" for stem in ("DIA", "ODI") for axis in "XYZ")
 _OFFSETS = tuple(f"OFS_{axis}" for axis in "XYZ")
 
-# Where it may not arm it names every reason, each in a text.
-_NAMED = re.compile(r"(?:Pre)?Arm: ?(.*)")
 # Of the compass, those that a calibration cures; not "not healthy", "calibration running", "requires reboot".
 _OF_ITS_CALIBRATION = re.compile(
     r"Check mag field|Compass(?:es)? (?:\d )?not calibrated|Compass offsets too high|Compasses inconsistent"
@@ -233,9 +231,8 @@ class ArduPilotDialect(CompassDialect):
             )
         return tuple(remarks)
 
-    def arming_exemption(self, context: Context, said: Sequence[str]) -> Script[Mapping[str, float]]:
-        """Return what leaves the compass out of the arming checks, where these texts name it alone."""
-        reasons = [named[1] for text in said if (named := _NAMED.match(text))]
+    def arming_exemption(self, context: Context, reasons: Sequence[str]) -> Script[Mapping[str, float]]:
+        """Return what leaves the compass out of the arming checks, where these reasons name it alone."""
         if not reasons or not all(_OF_ITS_CALIBRATION.match(reason) for reason in reasons):
             return {}
         held = yield from self.read_parameters(context, ("ARMING_CHECK", "ARMING_SKIPCHK"))

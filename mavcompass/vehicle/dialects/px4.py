@@ -36,7 +36,6 @@ from mavcompass.vehicle.parameters.values import Encoding, Parameter
 _SMALLEST_LIVE_CHANGE_MGAUSS, _SMALLEST_LIVE_CHANGE = 5.0, 0.01
 # Turning a correction into body axes and back leaves this much, in gauss and as a factor.
 _ROUNDING = 1e-6
-_NAMED = re.compile(r"Preflight Fail: ?(.*)")
 # Seen in its source and on it (August 2024): COM_ARM_MAG_ANG is how far apart compasses may point (-1: not
 # asked). A field of another strength or dip is not used by the estimator (EKF2_MAG_CHECK), which then has no
 # yaw and no place, whatever COM_ARM_MAG_STR says. That a compass has no calibration at all, or that the
@@ -150,10 +149,10 @@ class PX4Dialect(CompassDialect):
 
     # --- beside the parameters ----------------------------------------------------------------------
 
-    def arming_exemption(self, context: Context, said: Sequence[str]) -> Script[Mapping[str, float]]:
+    def arming_exemption(self, context: Context, reasons: Sequence[str]) -> Script[Mapping[str, float]]:
         """Return what leaves the compass out of the arming checks."""
         wanted: dict[str, float] = {}
-        for reason in [named[1] for text in said if (named := _NAMED.match(text))]:
+        for reason in reasons:
             cures = [cure for pattern, cure in _SETS_ASIDE if pattern.match(reason)]
             if not cures:
                 return {}

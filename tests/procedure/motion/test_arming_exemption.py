@@ -13,6 +13,7 @@ from bent_vehicles import calibrated, perform
 from mavcompass.errors import Refused
 from mavcompass.procedure.dialect import Overrides
 from mavcompass.procedure.motion import Permissions
+from mavcompass.procedure.motion.readiness import arming_reasons
 from mavcompass.procedure.script import Context, Script, nothing
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.procedure.vehicle_state import VehicleState
@@ -85,7 +86,7 @@ def test_what_else_forbids_arming_is_put_right_by_nobody(tmp_path: Path) -> None
     vehicle = with_iron("rover", 3, 300.0)
     vehicle.firmware.calibration.start((1,), 580.0)  # type: ignore[attr-defined]
     before = dict(vehicle.firmware.store.values)
-    with pytest.raises(Refused, match="refused to arm"):
+    with pytest.raises(Refused, match=r"refused to arm\. It said: Compass calibration running; Compasses"):
         calibrated(vehicle, tmp_path, settings("rover", "yes"))
     assert vehicle.firmware.store.values["ARMING_CHECK"] == before["ARMING_CHECK"]
     assert list(tmp_path.glob("*.json")) == []
@@ -112,7 +113,7 @@ def test_one_bit_is_set_aside_for_the_calibration_alone(
     told = lambda _, names: nothing({n: held[n] for n in names if n in held})  # noqa: E731
     monkeypatch.setattr(dialect, "read_parameters", told)
     with pytest.raises(StopIteration) as end:
-        next(dialect.arming_exemption(Context(), said))
+        next(dialect.arming_exemption(Context(), arming_reasons(said)))
     assert list(end.value.value.values()) == ([] if exempt is None else [exempt])
 
 
@@ -128,7 +129,7 @@ def test_one_bit_is_set_aside_for_the_calibration_alone(
 )
 def test_px4_has_a_parameter_for_some_of_it(said: Sequence[str], values: dict[str, float]) -> None:
     with pytest.raises(StopIteration) as end:
-        next(make_dialect("px4").arming_exemption(Context(), said))
+        next(make_dialect("px4").arming_exemption(Context(), arming_reasons(said)))
     assert end.value.value == values
 
 
