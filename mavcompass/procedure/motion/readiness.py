@@ -29,6 +29,8 @@ _LANDING_PATIENCE_S = 90.0
 _PLACE_WITHIN_S = 3.0
 # PX4 was seen to take a yaw over within 4 s; its place and its home follow.
 _INSISTS_S = 12.0
+# ArduPilot was seen to use its receiver 41 s after its start, and not to arm before.
+_STARTS_S, _AGAIN_S = 60.0, 2.0
 # After a stop nothing is waited for: the autopilot lands by itself once told to.
 _HURRIED_S = 3.0
 # ArduPilot and PX4 name every reason not to arm, each in a text.
@@ -120,11 +122,12 @@ class Readiness:
                 f"Switch it to {there}, or allow that with --set-mode.",
             )
         context.show("ready", f"Changing the flight mode to {there}.")
-        if not (yield from self.modes.change(context, wanted)):
-            raise Refused(
-                f"The vehicle refused the flight mode {there}.{self._last_words()}",
-                "Wait until it knows its position, then run again.",
-            )
+        while not (yield from self.modes.change(context, wanted)):
+            if not (yield from self._starts(context, self._last_words())):
+                raise Refused(
+                    f"The vehicle refused the flight mode {there}.{self._last_words()}",
+                    "Wait until it knows its position, then run again.",
+                )
 
     def _arm(self, context: Context) -> Script[None]:
         if not self.permissions.arm:
@@ -133,21 +136,22 @@ class Readiness:
                 "Arm it (a copter: take off), allow that with --arm, or turn it by hand with --motion hand.",
             )
         context.show("ready", "Arming.")
-        yield from self._ask(context, MavCmd.COMPONENT_ARM_DISARM, 1.0, what="arming")
+        aside = yield from self._try_to_arm(context)
+        while not self.state.armed and not aside and (yield from self._starts(context, self._why())):
+            aside = yield from self._try_to_arm(context)
+        own = self.overrides
+        if own is not None and aside and (yield from self._may_set_aside(context, aside)):
+            yield from own.hold(context, aside)
+            why = "The arming check is asked again."
+            yield from own.put_back_after(context, self._insist(context), why)
+            # With the check aside PX4 takes a yaw over, calls it not stable while it follows a compass
+            # that it doubts, and keeps it when the check is back.
+            yield from self._insist(context)
         if not self.state.armed:
-            own = self.overrides
-            if own is not None and (exemption := (yield from self._exemption(context, own))):
-                yield from own.hold(context, exemption)
-                why = "The arming check is asked again."
-                yield from own.put_back_after(context, self._insist(context), why)
-                # With the check aside PX4 takes a yaw over, calls it not stable while it follows a compass
-                # that it doubts, and keeps it when the check is back.
-                yield from self._insist(context)
-            if not self.state.armed:
-                raise Refused(
-                    f"The vehicle refused to arm.{self._why()}",
-                    "Put right what it names, then run again; turning it by hand needs no arming.",
-                )
+            raise Refused(
+                f"The vehicle refused to arm.{self._why()}",
+                "Put right what it names, then run again; turning it by hand needs no arming.",
+            )
 
     def _insist(self, context: Context) -> Script[None]:
         """Ask it to arm until it does: PX4's estimator needs some seconds for what it did not use before."""
@@ -173,29 +177,41 @@ class Readiness:
             context.listeners.remove(note)
             self._armed_by_us = self.state.armed
 
-    def _exemption(self, context: Context, own: Overrides) -> Script[Mapping[str, float]]:
-        """Return what sets the compass's arming check aside, where that alone refuses and a person agrees."""
-        values = yield from own.dialect.arming_exemption(context, arming_reasons(self._said))
-        if not values:  # PX4 says why when that begins, and when it is asked for it; not when it refuses
-            self._said.clear()
-            yield from self._ask(context, MavCmd.RUN_PREARM_CHECKS, what="its arming checks")
-            values = yield from own.dialect.arming_exemption(context, arming_reasons(self._said))
-        if not values:
+    def _try_to_arm(self, context: Context) -> Script[Mapping[str, float]]:
+        """Ask it to arm; return what sets the compass's arming check aside, where that alone refuses."""
+        self._said.clear()
+        yield from self._ask(context, MavCmd.COMPONENT_ARM_DISARM, 1.0, what="arming")
+        if self.state.armed or self.overrides is None:
             return {}
+        exemption = self.overrides.dialect.arming_exemption
+        values = yield from exemption(context, arming_reasons(self._said))
+        if not values:  # PX4 says why when that begins, and when it is asked for it; not when it refuses
+            yield from self._ask(context, MavCmd.RUN_PREARM_CHECKS, what="its arming checks")
+            values = yield from exemption(context, arming_reasons(self._said))
+        return values
+
+    def _may_set_aside(self, context: Context, values: Mapping[str, float]) -> Script[bool]:
+        """Tell whether a person agrees that the compass's arming check is set aside."""
         what = "It refuses to arm for nothing but the compass, which is the one to be calibrated"
         aside = " and ".join(f"{name} {value:.0f}" for name, value in values.items())
-        match self.permissions.exempt:
-            case "yes":
-                context.show("ready", f"{what}: arming with that check set aside ({aside}).")
-            case "ask":
-                question = Ask(
-                    f"Set the compass's arming check aside until it is armed ({aside})?",
-                    (f"{what}.{self._why()} All other checks stay.",),
-                )
-                return values if (yield from ask(context, question)) else {}
-            case "never":
-                return {}
-        return values
+        if self.permissions.exempt == "yes":
+            context.show("ready", f"{what}: arming with that check set aside ({aside}).")
+        if self.permissions.exempt != "ask":
+            return self.permissions.exempt == "yes"
+        question = Ask(
+            f"Set the compass's arming check aside until it is armed ({aside})?",
+            (f"{what}.{self._why()} All other checks stay.",),
+        )
+        return (yield from ask(context, question))
+
+    def _starts(self, context: Context, words: str) -> Script[bool]:
+        """Give a vehicle time that was started a moment ago, by its own clock; False where it was not."""
+        attitude = self.state.attitude
+        if attitude is None or attitude.time_boot_ms > 1000.0 * _STARTS_S:
+            return False
+        context.show("ready", f"It was started a moment ago and is not ready yet.{words}")
+        yield from pause(context, _AGAIN_S)
+        return True
 
     def _take_off(self, context: Context) -> Script[None]:
         height_m = self.permissions.takeoff_m

@@ -112,6 +112,16 @@ def test_a_vehicle_that_will_not_arm_says_why_and_keeps_its_mode(tmp_path: Path)
     assert vehicle.firmware.reports.heartbeat() == before
 
 
+@pytest.mark.parametrize("kind", ["rover", "copter", "px4-copter"])
+def test_what_was_started_a_moment_ago_is_asked_again_until_it_arms(kind: str, tmp_path: Path) -> None:
+    vehicle = SimulatedAutopilot(kind, seed=1, armed=False, ready_s=41.0)
+    shown: list[str] = []
+    permissions = Permissions(set_mode=True, arm=True, takeoff_m=5.0)
+    report = calibrated(vehicle, tmp_path, allow(permissions), shown=shown)
+    assert report.written and not vehicle.firmware.status.armed
+    assert any(text.startswith("It was started a moment ago and is not ready yet.") for text in shown)
+
+
 def test_a_stop_in_the_air_tells_the_copter_to_land(tmp_path: Path) -> None:
     vehicle = on_the_ground("copter")
     stop = StopRequest()
