@@ -29,12 +29,10 @@ def command(
 ) -> Script[MavResult]:
     """Send COMMAND_LONG until acknowledged and return the answer, whatever it is.
 
-    IN_PROGRESS is not an answer: the wait goes on. A repeated command counts `confirmation` up, as
-    the protocol asks. Raises NoReply.
+    IN_PROGRESS is not an answer: the wait goes on. Raises NoReply.
     """
-    padded = [*(float(p) for p in params), *([0.0] * 7)][:7]
     for attempt in range(tries):
-        context.send(mav.CommandLong(context.system, context.component, int(number), attempt, *padded))
+        context.command(number, *params, attempt=attempt)
         patience = timeout_s * min(1.0 + 0.5 * attempt, 2.0)
         while True:
             ack = yield from expect(context, mav.CommandAck, lambda a: a.command == int(number), patience)
@@ -127,11 +125,7 @@ class MessageRates:
         """Ask how often a message is sent, in microseconds; None where no answer comes."""
         number = mav.message_id(kind)
         for _ in range(6 if self._tells_intervals else 2):
-            context.send(
-                mav.CommandLong(
-                    context.system, context.component, MavCmd.GET_MESSAGE_INTERVAL, 0, float(number)
-                )
-            )
+            context.command(MavCmd.GET_MESSAGE_INTERVAL, number)
             answer = yield from expect(context, mav.MessageInterval, lambda m: m.message_id == number, 0.5)
             if answer is not None:
                 self._tells_intervals = True

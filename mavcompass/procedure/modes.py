@@ -72,12 +72,10 @@ def mode_name(kind: Kind, autopilot: str, mode: int) -> str:
     return names(mode).name if names is not None and mode in list(names) else f"mode {mode}"
 
 
-def mode_command(context: Context, autopilot: str, mode: int) -> mav.CommandLong:
-    """Return the command that changes to a mode, given as in HEARTBEAT.custom_mode."""
+def command_mode(context: Context, autopilot: str, mode: int) -> None:
+    """Send the command that changes to a mode, given as in HEARTBEAT.custom_mode."""
     main, sub = (mode >> 16 & 0xFF, mode >> 24 & 0xFF) if autopilot == "px4" else (mode, 0)
-    return mav.CommandLong(
-        context.system, context.component, MavCmd.DO_SET_MODE, 0, _CUSTOM_MODE, float(main), float(sub)
-    )
+    context.command(MavCmd.DO_SET_MODE, _CUSTOM_MODE, main, sub)
 
 
 @dataclass(slots=True)
@@ -134,7 +132,7 @@ class ModeKeeper:
             return True
         while context.now < end_s and context.now - self.state.heard_s < _SILENCE_S:
             if context.now >= ask_s:
-                context.send(mode_command(context, self.autopilot, mode))
+                command_mode(context, self.autopilot, mode)
                 ask_s = context.now + 0.7
             heard = context.heard_from_vehicle((yield min(end_s, ask_s)))
             if self.state.mode == mode:

@@ -97,7 +97,7 @@ def _version(context: Context) -> Script[mav.AutopilotVersion | None]:
         number, parameter = _QUESTIONS[attempt % len(_QUESTIONS)]
         if number in refused:
             continue
-        context.send(mav.CommandLong(context.system, context.component, number, 0, parameter))
+        context.command(number, parameter)
         end_s, told = context.now + _PATIENCE_S, None
         while context.now < end_s and number not in refused:
             heard = context.heard_from_vehicle((yield end_s))

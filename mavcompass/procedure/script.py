@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 from mavcompass.errors import MavCompassError, NoReply, Refused
-from mavcompass.messages import Incoming, Message
+from mavcompass.messages import CommandLong, Incoming, Message
 
 T = TypeVar("T")
 M = TypeVar("M", bound=Message)
@@ -123,6 +123,10 @@ class Context:
     def send(self, message: Message) -> None:
         """Leave a message to be sent."""
         self.outbox.append(Send(message))
+
+    def command(self, number: int, *params: float, attempt: int = 0) -> None:
+        """Leave a COMMAND_LONG for the vehicle; a repeated one counts its attempts, as the protocol asks."""
+        self.send(CommandLong(self.system, self.component, int(number), attempt, *map(float, params)))
 
     def show(self, step: str, text: str, fraction: float | None = None, **data: float) -> None:
         """Leave a line for the person."""

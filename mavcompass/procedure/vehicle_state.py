@@ -126,9 +126,9 @@ def _as_it_flies(context: Context, identity: VehicleIdentity) -> Script[VehicleI
     """Ask a plane whether its rotors hold it now; its heartbeat tells neither that nor that they could."""
     if identity.kind != "plane":
         return identity
-    number = float(mav.message_id(mav.ExtendedSysState))
+    number = mav.message_id(mav.ExtendedSysState)
     for _ in range(_ASKED_TWICE):
-        context.send(mav.CommandLong(context.system, context.component, MavCmd.REQUEST_MESSAGE, 0, number))
+        context.command(MavCmd.REQUEST_MESSAGE, number)
         told = yield from expect(context, mav.ExtendedSysState, timeout_s=_TOLD_WITHIN_S)
         if told is not None:
             return replace(identity, kind=kind_now(identity.kind, told))

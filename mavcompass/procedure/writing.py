@@ -111,10 +111,8 @@ def restart(
     knew_place = _knows_place(desk)
     context.show("restart", "Restarting the autopilot.")
     context.silent_until_s = context.now + _BACK_WITHIN_S
-    context.send(
-        mav.CommandLong(context.system, context.component, MavCmd.PREFLIGHT_REBOOT_SHUTDOWN, 0, _RESTART)
-    )
     number = int(MavCmd.PREFLIGHT_REBOOT_SHUTDOWN)
+    context.command(number, _RESTART)
     ack = yield from expect(context, mav.CommandAck, lambda a: a.command == number, _GOING_DOWN_S)
     if ack is not None and ack.result != MavResult.ACCEPTED:
         context.silent_until_s = context.now

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from mavcompass.errors import LinkError, UsageError
 from mavcompass.messages import Attitude, Heartbeat, ParamValue, message_id
-from mavcompass.procedure.flying import FlightRates, Profile, fly_profile
+from mavcompass.procedure.flying import Profile, fly_profile
 from mavcompass.procedure.script import Machine, Show
 from mavcompass.vehicle.driver import run
 from mavcompass.vehicle.link import GROUND_STATION
@@ -80,13 +80,7 @@ def fly_in_simulator(
         with simulator.start(folder, flight, parameters, transport) as program:
             _wait_for(transport, program)
             machine = Machine(
-                lambda context: fly_profile(
-                    context,
-                    profile,
-                    FlightRates.like(profile.rate_hz),
-                    recorder.switch,
-                    simulator.live(parameters),
-                )
+                lambda context: fly_profile(context, profile, recorder.switch, simulator.live(parameters))
             )
             try:
                 run(machine, link, on_show=on_show, silence_s=_SILENCE_S)

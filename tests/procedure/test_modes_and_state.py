@@ -12,14 +12,9 @@ from mavcompass import messages as mav
 from mavcompass.enums import MavCmd, MavResult
 from mavcompass.errors import NoVehicle, Refused, UsageError
 from mavcompass.printable import printable
-from mavcompass.procedure.modes import PX4_OFFBOARD, ModeKeeper, mode_command, mode_name, turning_mode
+from mavcompass.procedure.modes import PX4_OFFBOARD, ModeKeeper, command_mode, mode_name, turning_mode
 from mavcompass.procedure.script import Context, Machine, Script, Send, Tick
-from mavcompass.procedure.vehicle_state import (
-    VehicleState,
-    find_vehicle,
-    find_vehicles,
-    identify,
-)
+from mavcompass.procedure.vehicle_state import VehicleState, find_vehicle, find_vehicles, identify
 
 MANUAL, GUIDED, AUTO = 0, 15, 10
 
@@ -56,9 +51,9 @@ def test_modes_have_names_for_a_person() -> None:
 def test_a_mode_is_asked_for_as_its_autopilot_counts(
     autopilot: str, mode: int, main: float, sub: float
 ) -> None:
-    asked = mode_command(Context(system=7, component=1), autopilot, mode)
-    assert (asked.command, asked.target_system, asked.confirmation) == (MavCmd.DO_SET_MODE, 7, 0)
-    assert (asked.param1, asked.param2, asked.param3) == (1.0, main, sub)
+    context = Context(system=7, component=1)
+    command_mode(context, autopilot, mode)
+    assert context.outbox == [Send(mav.CommandLong(7, 1, MavCmd.DO_SET_MODE, 0, 1.0, main, sub))]
 
 
 class Vehicle:

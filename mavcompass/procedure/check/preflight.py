@@ -122,7 +122,7 @@ class _Checker:
         context = self.desk.context
         asks = not self.desk.state.armed
         if asks:  # what forbids arming is told to who asks
-            context.send(mav.CommandLong(context.system, context.component, MavCmd.RUN_PREARM_CHECKS))
+            context.command(MavCmd.RUN_PREARM_CHECKS)
         context.show("dwell", "Looking at the compasses at rest.", 0.3)
         mover = Mover(self.desk.gyro, self.desk.rest)  # nobody moves it yet
         self.desk.rest.compasses = self.desk.instances

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mavcompass.procedure.flying.follow import FlightRates, fly_profile
+from mavcompass.procedure.flying.follow import fly_profile
 from mavcompass.procedure.flying.profile import Profile, profile_of
 
-__all__ = ["FlightRates", "Profile", "fly_profile", "profile_of"]
+__all__ = ["Profile", "fly_profile", "profile_of"]

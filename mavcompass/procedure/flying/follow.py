@@ -17,7 +17,7 @@ from mavcompass.errors import NoReply, Refused
 from mavcompass.messages.bits import single_from_bits
 from mavcompass.procedure.commands import DISABLED_US, command
 from mavcompass.procedure.flying.profile import Profile
-from mavcompass.procedure.modes import PX4_OFFBOARD, ModeKeeper, mode_command
+from mavcompass.procedure.modes import PX4_OFFBOARD, ModeKeeper, command_mode
 from mavcompass.procedure.motion import Permissions, Readiness
 from mavcompass.procedure.script import Context, Script, expect, pause, request
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState, find_vehicle
@@ -41,31 +41,19 @@ _PLACE_SPEED_AND_YAW = 0x1C0
 _QUIET_PARAMETERS_S = 1.5
 
 
-@dataclass(frozen=True, slots=True)
-class FlightRates:
-    """Hold how often the simulator shall tell what, Hz, by number of the message."""
+def flight_rates(rate_hz: float, autopilot: str) -> dict[int, float]:
+    """List how often the simulator shall tell what, Hz, by number of the message: as telemetry does.
 
-    by_message: Mapping[int, float]
-
-    @classmethod
-    def like(cls, rate_hz: float) -> FlightRates:
-        """Ask for the compass, the attitude and the rest as often as telemetry of such a rate does."""
-        imu_hz = min(max(rate_hz, 5.0), 50.0)
-        slow_hz = min(imu_hz, 10.0)
-        raw_imu, scaled_imu, battery = 27, 26, 147
-        local, place, hud, servo, receiver, status, ekf, pressure = 32, 33, 74, 36, 24, 1, 193, 29
-        rates = {message: slow_hz for message in (local, place, hud, servo, battery)}
-        rates |= {raw_imu: imu_hz, scaled_imu: imu_hz, _ATTITUDE: max(imu_hz, 10.0)}
-        rates |= {receiver: 5.0, status: 4.0, ekf: 4.0, pressure: 2.0}
-        return cls(rates)
-
-    def of(self, autopilot: str) -> dict[int, float]:
-        """Return the rates of what this autopilot fills; 0 for what it shall not send.
-
-        PX4's HIGHRES_IMU is less what its estimator takes for the compass's bias, which is not told.
-        """
-        empty, unwanted = (26, {}) if autopilot == "ardupilot" else (27, {105: 0.0})
-        return unwanted | {number: hertz for number, hertz in self.by_message.items() if number != empty}
+    0 is for what it shall not send: PX4's HIGHRES_IMU is less what its estimator takes for the compass's
+    bias, which is not told.
+    """
+    imu_hz = min(max(rate_hz, 5.0), 50.0)
+    slow_hz = min(imu_hz, 10.0)
+    raw_imu, scaled_imu, battery, highres_imu = 27, 26, 147, 105
+    local, place, hud, servo, receiver, status, ekf, pressure = 32, 33, 74, 36, 24, 1, 193, 29
+    rates = {message: slow_hz for message in (local, place, hud, servo, battery)}
+    rates |= {receiver: 5.0, status: 4.0, ekf: 4.0, pressure: 2.0, _ATTITUDE: max(imu_hz, 10.0)}
+    return rates | ({raw_imu: imu_hz} if autopilot == "ardupilot" else {highres_imu: 0.0, scaled_imu: imu_hz})
 
 
 @dataclass(slots=True)
@@ -93,7 +81,6 @@ class _Clock:
 def fly_profile(
     context: Context,
     profile: Profile,
-    rates: FlightRates,
     recording: Callable[[bool], None],
     parameters: Mapping[str, float] = MappingProxyType({}),
 ) -> Script[VehicleIdentity]:
@@ -115,7 +102,7 @@ def fly_profile(
     context.listeners += [state.hear, clock.hear]
     context.watches.append(clock.stands)
     yield from _set(context, parameters)
-    wanted = rates.of(identity.autopilot)
+    wanted = flight_rates(profile.rate_hz, identity.autopilot)
     for number, hertz in wanted.items():
         yield from _set_rate(context, number, hertz)
     yield from _until_it_knows_its_place(context, identity, state, clock)
@@ -209,7 +196,7 @@ def _into_offboard(context: Context, profile: Profile, state: VehicleState, cloc
         while clock.time_s < until_s:
             _target(context, profile, 0, clock, still=True)
             yield from _next_attitude(context)
-        context.send(mode_command(context, "px4", PX4_OFFBOARD))
+        command_mode(context, "px4", PX4_OFFBOARD)
         if state.mode == PX4_OFFBOARD:
             return
     raise Refused(

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from mavcompass.procedure.motion.mobility import Mobility, Motion
 from mavcompass.procedure.motion.readiness import Permissions, Readiness
-from mavcompass.procedure.motion.safety import SafetyLimits
 
 __all__ = [
     "Mobility",
     "Motion",
     "Permissions",
     "Readiness",
-    "SafetyLimits",
 ]

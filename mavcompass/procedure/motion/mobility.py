@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 from mavcompass import messages as mav
@@ -23,7 +23,7 @@ from mavcompass.procedure.desk import Desk
 from mavcompass.procedure.dialect import Overrides
 from mavcompass.procedure.modes import ModeKeeper
 from mavcompass.procedure.motion.readiness import Permissions, Readiness
-from mavcompass.procedure.motion.safety import MotionGuard, SafetyLimits
+from mavcompass.procedure.motion.safety import DRIFT_M, MotionGuard
 from mavcompass.procedure.positions import HandMover, Mover, Rest, VehicleMover
 from mavcompass.procedure.script import Context, Script, pause
 from mavcompass.procedure.turning import (
@@ -110,13 +110,11 @@ class Mobility:
         return strategies
 
     def _watch(self) -> None:
-        desk, limits = self.desk, SafetyLimits()
-        kind, autopilot = desk.identity.kind, desk.identity.autopilot
-        profile = vehicle_profile(kind, autopilot, self._is_ackermann)
-        if profile is not None:
-            limits = replace(limits, drift_m=max(limits.drift_m, profile.drift_m))
+        desk, kind = self.desk, self.desk.identity.kind
+        profile = vehicle_profile(kind, desk.identity.autopilot, self._is_ackermann)
+        room_m = DRIFT_M if profile is None else max(DRIFT_M, profile.drift_m)
         ours = channels_moved(kind, self.turn_by)
-        guard = MotionGuard(desk.state, desk.gyro, kind, self._modes, limits, ours)
+        guard = MotionGuard(desk.state, desk.gyro, kind, self._modes, room_m, ours)
         guard.begin()
         desk.context.listeners.append(guard.hear)
         desk.context.watches.append(guard.check)

@@ -31,27 +31,14 @@ _CIRCLING = (
     "A copter whose compass is far off circles instead of holding its place: calibrate it on the ground, "
     "turned by hand."
 )
-
-
-@dataclass(frozen=True, slots=True)
-class SafetyLimits:
-    """Hold how far a vehicle may stray while it is turned.
-
-    Attributes:
-        silence_s: no message for this long is a dead link (longer on slow telemetry).
-        stick_us: a stick moved this far from where it was at the start is the pilot's hand.
-        tilt_rad, rate_radps, drift_m: more than this is not a turn on the spot.
-        height_m: a copter must be at least this high.
-        battery_percent: less is no time for turning.
-    """
-
-    silence_s: float = 0.8
-    stick_us: int = 80
-    tilt_rad: float = math.radians(35.0)
-    rate_radps: float = math.radians(200.0)
-    drift_m: float = 5.0
-    height_m: float = 1.5
-    battery_percent: int = 10
+# No message for so long is a dead link (longer on slow telemetry).
+_SILENCE_S = 0.8
+# A stick moved so far from where it was at the start is the pilot's hand.
+_STICK_US = 80
+# More than this is not a turn on the spot.
+MOST_RADPS, DRIFT_M, _TILT_RAD = math.radians(200.0), 5.0, math.radians(35.0)
+# A copter must be at least so high; and less of a battery is no time for turning.
+_HEIGHT_M, _BATTERY_PERCENT = 1.5, 10
 
 
 @dataclass(slots=True)
@@ -59,7 +46,7 @@ class MotionGuard:
     """Watch a vehicle from the moment motion begins; `hear` is a listener, `check` a watch.
 
     Attributes:
-        modes: knows which flight modes are ours.
+        modes: knows which flight modes are ours. room_m: to stray in from where it was at the start.
         moved_by_us: RC channels that we move ourselves, so that they say nothing about the pilot.
     """
 
@@ -67,7 +54,7 @@ class MotionGuard:
     gyro: GyroAngle
     kind: Kind
     modes: ModeKeeper
-    limits: SafetyLimits = SafetyLimits()
+    room_m: float = DRIFT_M
     moved_by_us: frozenset[int] = frozenset()
     _sticks: tuple[int, ...] | None = None
     _place: mav.GlobalPositionInt | None = None
@@ -102,9 +89,9 @@ class MotionGuard:
     def silence_limit_s(self) -> float:
         """Return how long the link may be silent before it counts as dead."""
         if len(self._arrivals) < 10:
-            return max(self.limits.silence_s, 2.0)
+            return max(_SILENCE_S, 2.0)
         mean_gap_s = (self._arrivals[-1] - self._arrivals[0]) / (len(self._arrivals) - 1)
-        return max(self.limits.silence_s, 8.0 * mean_gap_s)
+        return max(_SILENCE_S, 8.0 * mean_gap_s)
 
     def check(self, now_s: float) -> str | None:
         """Return the sentence that ends the motion, None while all is well."""
@@ -143,7 +130,7 @@ class MotionGuard:
             if set(held) - self.moved_by_us:
                 return "The pilot holds a stick."
         for channel, (pwm, at_start) in enumerate(zip(now, self._sticks, strict=True), start=1):
-            if channel not in self.moved_by_us and abs(pwm - at_start) > self.limits.stick_us:
+            if channel not in self.moved_by_us and abs(pwm - at_start) > _STICK_US:
                 return "The pilot moved a stick."
         return None
 
@@ -151,7 +138,7 @@ class MotionGuard:
         beat, battery = self.state.heartbeat, self.state.battery
         if beat is not None and beat.system_status in (MavState.CRITICAL, MavState.EMERGENCY):
             return "The vehicle reports a failsafe."
-        if battery is not None and 0 <= battery.battery_remaining < self.limits.battery_percent:
+        if battery is not None and 0 <= battery.battery_remaining < _BATTERY_PERCENT:
             return f"The battery is at {battery.battery_remaining} %."
         return None
 
@@ -169,9 +156,9 @@ class MotionGuard:
         attitude = self.state.attitude
         if attitude is not None:
             tilt = math.acos(math.cos(attitude.roll) * math.cos(attitude.pitch))
-            if tilt > self.limits.tilt_rad:
+            if tilt > _TILT_RAD:
                 return f"The vehicle is tilted by {math.degrees(tilt):.0f} deg."
-        if abs(self.gyro.rate_radps) > self.limits.rate_radps:
+        if abs(self.gyro.rate_radps) > MOST_RADPS:
             return f"The vehicle turns too fast ({math.degrees(self.gyro.rate_radps):.0f} deg/s)."
         return None
 
@@ -183,7 +170,7 @@ class MotionGuard:
         place = self.state.place
         if self.kind in HOVERING and place is not None:
             height_m = place.relative_alt * 1e-3
-            if height_m < self.limits.height_m:
+            if height_m < _HEIGHT_M:
                 return f"The vehicle is {height_m:.1f} m above its start, too low to be turned."
         return None
 
@@ -195,7 +182,7 @@ class MotionGuard:
             self._place = place
             return None
         drift_m = math.hypot(*metres_from(start, place))
-        if drift_m > self.limits.drift_m:
+        if drift_m > self.room_m:
             reason = f"The vehicle moved {drift_m:.1f} m away from where it started."
             return f"{reason} {_CIRCLING}" if self.kind in HOVERING else reason
         return self._too_low()

@@ -7,7 +7,7 @@ import json
 import mimetypes
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -38,10 +38,10 @@ from mavcompass.service.web.bodies import (
     parse_body,
 )
 from mavcompass.service.web.connections import MOST_HELD_BYTES
-from mavcompass.service.web.metrics import CONTENT_TYPE, Metrics
+from mavcompass.service.web.metrics import CONTENT_TYPE, metrics_text
 from mavcompass.service.web.openapi import Operation, get, openapi, operations_of, post
 from mavcompass.service.web.security import MOST_BODY_BYTES, Guard, page_policy
-from mavcompass.service.web.state import Stream, moment_json, state_json
+from mavcompass.service.web.state import moment_json, state_json, stream
 from mavcompass.service.work.clock import utc_now
 from mavcompass.service.work.history import Entry, History
 from mavcompass.service.work.jobs import Gaps
@@ -79,7 +79,7 @@ def build_app(
         Route("/register_service", register),
         Route("/openapi.json", _describe),
         *(_route(operation, api) for operation in operations_of(Api)),
-        WebSocketRoute("/api/stream", Stream(station).endpoint),
+        WebSocketRoute("/api/stream", partial(stream, station)),
         Route("/web/{name}", _part),
     ]
     guard = Middleware(
@@ -205,14 +205,13 @@ class Api:
         self._station = station
         self._history = history
         self._gaps = gaps
-        self._metrics = Metrics(station)
         self._is_alive = is_alive
 
     # --- reading ------------------------------------------------------------------------------------
 
     @get("/metrics", "Metrics for Prometheus.", {200: "Metrics."}, "text/plain")
     async def metrics(self) -> Response:
-        return Response(self._metrics.render(), headers={"content-type": CONTENT_TYPE})
+        return Response(metrics_text(self._station), headers={"content-type": CONTENT_TYPE})
 
     @get("/healthz", "Tell whether the service lives.", {200: "It does.", 503: "It is stuck."})
     async def health(self) -> Response:

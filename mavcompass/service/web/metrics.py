@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client import generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 
 from mavcompass.service.station import Station
@@ -77,13 +77,6 @@ def _counter(name: str, text: str, value: float) -> Any:
     return CounterMetricFamily(f"mavcompass_{name}", text, value=value)
 
 
-class Metrics:
-    """Render a station's metrics."""
-
-    def __init__(self, station: Station) -> None:
-        self._registry = CollectorRegistry()
-        self._registry.register(_Collector(station))
-
-    def render(self) -> bytes:
-        """Return the text form."""
-        return generate_latest(self._registry)
+def metrics_text(station: Station) -> bytes:
+    """Return a station's metrics in their text form."""
+    return generate_latest(_Collector(station))  # which does nothing but collect

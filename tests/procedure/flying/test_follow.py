@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega
 from mavcompass import messages as mav
 from mavcompass.enums import MavCmd, MavFrame, MavParamType
 from mavcompass.errors import NoReply, Refused
-from mavcompass.procedure.flying import FlightRates, Profile, follow
+from mavcompass.procedure.flying import Profile, follow
 from mavcompass.procedure.flying.follow import _Clock
 from mavcompass.procedure.modes import PX4_OFFBOARD
 from mavcompass.procedure.script import Context, Machine, Send, Show, Tick
@@ -59,23 +59,24 @@ def drive(
 
 
 def test_rates_are_like_those_of_the_recording() -> None:
-    rates = FlightRates.like(20.0).of("ardupilot")
+    rates = follow.flight_rates(20.0, "ardupilot")
     assert rates[27] == 20.0 and rates[30] == 20.0 and rates[32] == rates[147] == 10.0 and 26 not in rates
     assert rates[24] == 5.0 and rates[1] == 4.0 and rates[29] == 2.0 and 105 not in rates
-    as_px4 = FlightRates.like(20.0).of("px4")
+    as_px4 = follow.flight_rates(20.0, "px4")
     assert as_px4[26] == 20.0 and 27 not in as_px4 and as_px4[105] == 0.0
-    slow, fast = FlightRates.like(1.0).by_message, FlightRates.like(400.0).by_message
+    slow, fast = (follow.flight_rates(hz, "ardupilot") for hz in (1.0, 400.0))
     assert (slow[27], slow[30], slow[32]) == (5.0, 10.0, 5.0) and (fast[27], fast[32]) == (50.0, 10.0)
 
 
 def test_rates_are_asked_for_by_the_numbers_of_the_protocol() -> None:
     names = (
-        "ATTITUDE RAW_IMU SCALED_IMU SCALED_PRESSURE LOCAL_POSITION_NED GLOBAL_POSITION_INT VFR_HUD"
+        "ATTITUDE SCALED_PRESSURE LOCAL_POSITION_NED GLOBAL_POSITION_INT VFR_HUD"
         " SERVO_OUTPUT_RAW GPS_RAW_INT SYS_STATUS BATTERY_STATUS EKF_STATUS_REPORT"
     )
     numbers = {getattr(ardupilotmega, f"MAVLINK_MSG_ID_{name}") for name in names.split()}
-    assert set(FlightRates.like(20.0).by_message) == numbers
-    assert set(FlightRates.like(20.0).of("px4")) - numbers == {ardupilotmega.MAVLINK_MSG_ID_HIGHRES_IMU}
+    px4 = {ardupilotmega.MAVLINK_MSG_ID_SCALED_IMU, ardupilotmega.MAVLINK_MSG_ID_HIGHRES_IMU}
+    assert set(follow.flight_rates(20.0, "px4")) == numbers | px4
+    assert set(follow.flight_rates(20.0, "ardupilot")) == numbers | {ardupilotmega.MAVLINK_MSG_ID_RAW_IMU}
 
 
 def test_what_drives_is_asked_for_speed_and_rate() -> None:

@@ -10,7 +10,7 @@ from parameter_vehicle import ardupilot_parameters
 
 from mavcompass.errors import MavCompassError
 from mavcompass.installation.data_files import params_path
-from mavcompass.procedure.motion import SafetyLimits
+from mavcompass.procedure.motion.safety import MOST_RADPS
 from mavcompass.procedure.turning import profiles as vehicle_profiles
 from mavcompass.procedure.turning import strategies_for, vehicle_profile
 from mavcompass.vehicle.dialects import make_dialect
@@ -72,7 +72,7 @@ def test_every_vehicle_that_can_turn_itself_has_its_profile(kind: str, ackermann
     # What the procedure turns by is what the file says.
     assert ways and tuple(turn.way for turn in ways) == profile.ways
     # A turn at the profile's rate is well inside the limit.
-    assert all(way.rate_radps < 0.5 * SafetyLimits().rate_radps for way in profile.ways)
+    assert all(way.rate_radps < 0.5 * MOST_RADPS for way in profile.ways)
 
 
 def test_a_way_that_does_not_exist_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ from mavcompass.procedure.turning.targets import STAND_AND_YAW_RATE, YAW_ONLY, Y
 
 # Far from half a turn, beyond which it would be the other way round.
 _FARTHEST_RAD = math.radians(90.0)
-_STEP_RAD = math.radians(8.0)
+_STEP_RAD, _RELATIVE = math.radians(8.0), 1.0
 # SET_ATTITUDE_TARGET's type_mask: only the yaw rate and the thrust count.
 _RATE_AND_THRUST = 0x83
 
@@ -115,18 +115,8 @@ class YawStep(Steer):
         self._command(context, 0.0, math.radians(30.0))
 
     def _command(self, context: Context, angle_rad: float, rate_radps: float) -> None:
-        context.send(
-            mav.CommandLong(
-                context.system,
-                context.component,
-                MavCmd.CONDITION_YAW,
-                0,
-                math.degrees(angle_rad),
-                math.degrees(abs(rate_radps)),
-                math.copysign(1.0, rate_radps),
-                1.0,
-            )
-        )
+        how = (math.degrees(angle_rad), math.degrees(abs(rate_radps)), math.copysign(1.0, rate_radps))
+        context.command(MavCmd.CONDITION_YAW, *how, _RELATIVE)
 
 
 WAYS: dict[str, Builder] = {
