@@ -21,6 +21,7 @@ from mavcompass.cli.source import (
 )
 from mavcompass.cli.terminal.colour import mark
 from mavcompass.installation.invocation import program
+from mavcompass.vehicle.transport import Recording, parse_address
 
 if TYPE_CHECKING:
     from mavcompass.heading.true_north import TrueNorth
@@ -71,7 +72,6 @@ def command(
     """
     from mavcompass.cli.terminal.show import showing
     from mavcompass.procedure.check import CheckSettings
-    from mavcompass.vehicle.transport import Recording, parse_address
 
     require_for(source, report=offer)
     address = parse_address(source)
@@ -122,8 +122,6 @@ def _say(report: CheckReport, source: str, output: Output, everything: bool) -> 
         output.say(f"{mark(item.verdict)}  {item.text}")
         if item.remedy and not (after and after.remedy == item.remedy):  # once, below all that it mends
             output.say(f"      {item.remedy}")
-    from mavcompass.vehicle.transport import Recording, parse_address
-
     for remark in report.remarks:
         output.say(f"Note: {remark}")
     advice = f"Next: {program()} calibrate {shlex.quote(source)}" if report.calibration_advised else ""

@@ -17,13 +17,13 @@ from mavcompass.cli.terminal.colour import is_live
 from mavcompass.cli.terminal.dial import dial
 from mavcompass.errors import UsageError
 from mavcompass.installation.parts import require
+from mavcompass.vehicle.transport import Address, Recording, parse_address
 
 if TYPE_CHECKING:
     from mavcompass.heading.stream import HeadingResult
     from mavcompass.heading.true_north import TrueNorth
     from mavcompass.track import Track
     from mavcompass.vehicle.heading_stream import LiveHeading
-    from mavcompass.vehicle.transport import Address
 
 
 class Row(NamedTuple):
@@ -104,8 +104,6 @@ def command(
     mavcompass heading flight.tlog --json-lines --rate 1
     mavcompass heading flight.tlog --mcap flight.mcap --json heading.json
     """
-    from mavcompass.vehicle.transport import Recording, parse_address
-
     address = parse_address(source)
     require_for(address)
     notes: list[str] = []

@@ -25,27 +25,23 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 _VERBOSITY = "mavcompass.verbosity"
 
 
-def _between(least: float | None, most: float | None) -> str:
+class _Range:
     """Spell a range of numbers as people write it."""
-    return f"at least {least:g}" if most is None else f"{least:g} to {most:g}"
+
+    name = "number"
+    min: float
+    max: float | None
+
+    def _describe_range(self) -> str:
+        return f"at least {self.min:g}" if self.max is None else f"{self.min:g} to {self.max:g}"
 
 
-class Number(click.FloatRange):
+class Number(_Range, click.FloatRange):  # type: ignore[misc]
     """Be a number in a range."""
 
-    name = "number"
 
-    def _describe_range(self) -> str:
-        return _between(self.min, self.max)
-
-
-class Whole(click.IntRange):
+class Whole(_Range, click.IntRange):  # type: ignore[misc]
     """Be a whole number in a range."""
-
-    name = "number"
-
-    def _describe_range(self) -> str:
-        return _between(self.min, self.max)
 
 
 class Commands(click.Group):

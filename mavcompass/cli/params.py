@@ -13,9 +13,11 @@ import click
 from mavcompass.cli.options import FILE, Commands, Function, Output, common_options, gathered
 from mavcompass.cli.source import refuse_unasked_write, require_for, sign_key_option, system_option
 from mavcompass.errors import MavCompassError, NoMagnetometer, UsageError, WriteFailed
+from mavcompass.printable import counted
+from mavcompass.vehicle.transport import Recording, parse_address
 
 if TYPE_CHECKING:
-    from mavcompass.procedure.dialect import Change, ParameterPlan
+    from mavcompass.procedure.dialect import ParameterPlan
     from mavcompass.procedure.nameplate import Nameplate
     from mavcompass.procedure.script import Context, Script
     from mavcompass.vehicle.session import HeldParameters, WriteReport
@@ -33,16 +35,6 @@ class Asked:
     system: int | None
 
 
-def _write_options(function: Function) -> Function:
-    """Let a command take how it is to write; the function gets the argument `asked: Asked`."""
-    yes = click.option("--yes", is_flag=True, help="Write without asking.")
-    dry_run = click.option("--dry-run", is_flag=True, help="Show what would be written, and write nothing.")
-    other = click.option(
-        "--other-vehicle", is_flag=True, help="Write what was kept of another vehicle, or of an unknown one."
-    )
-    return system_option(sign_key_option(yes(dry_run(other(gathered(Asked, "asked")(function))))))
-
-
 @click.group(cls=Commands)
 def command() -> None:
     """Show, compare, write, back up or restore a vehicle's compass parameters.
@@ -57,10 +49,22 @@ def command() -> None:
     """
 
 
-@command.command()
-@click.argument("source")
-@system_option
-@sign_key_option
+def _reading(function: Function) -> click.Command:
+    """Make a command of a function of SOURCE, a vehicle or a recording."""
+    return command.command()(click.argument("source")(system_option(sign_key_option(function))))
+
+
+def _writing(function: Function) -> click.Command:
+    """Make a command that writes; the function gets the argument `asked: Asked`."""
+    yes = click.option("--yes", is_flag=True, help="Write without asking.")
+    dry_run = click.option("--dry-run", is_flag=True, help="Show what would be written, and write nothing.")
+    other = click.option(
+        "--other-vehicle", is_flag=True, help="Write what was kept of another vehicle, or of an unknown one."
+    )
+    return _reading(yes(dry_run(other(common_options(gathered(Asked, "asked")(function))))))
+
+
+@_reading
 @common_options
 def show(source: str, system: int | None, output: Output) -> None:
     """Show the compass parameters of a vehicle or a recording.
@@ -80,11 +84,8 @@ def show(source: str, system: int | None, output: Output) -> None:
     output.write_json({**_head("show", source, held), **shown})
 
 
-@command.command()
-@click.argument("source")
+@_reading
 @click.argument("file", type=FILE)
-@system_option
-@sign_key_option
 @common_options
 def diff(source: str, file: Path, system: int | None, output: Output) -> None:
     """Compare a vehicle's or a recording's compass parameters with a file.
@@ -104,18 +105,18 @@ def diff(source: str, file: Path, system: int | None, output: Output) -> None:
         for name, value in compass_part(kept, held).items()
         if name not in held.values or not same_value(held.values[name], value)
     }
-    _show_difference(output, held, differing)
+    cells = [
+        (n, "absent" if old is None else _number(old), _number(new)) for n, (old, new) in differing.items()
+    ]
+    _rows(output, ["parameter", "vehicle", "file"], cells, "{:<16} vehicle {}, file {}")
     if not differing:
         output.say(f"The vehicle holds the values of {file}.")
     rows = [{"name": n, "vehicle": old, "file": new} for n, (old, new) in differing.items()]
     output.write_json({**_head("diff", source, held), "file": str(file), "differing": rows})
 
 
-@command.command()
-@click.argument("source")
+@_writing
 @click.argument("file", type=FILE)
-@_write_options
-@common_options
 def write(source: str, file: Path, asked: Asked, output: Output) -> None:
     """Write the compass parameters of a file to a vehicle; others in the file are left out.
 
@@ -125,11 +126,8 @@ def write(source: str, file: Path, asked: Asked, output: Output) -> None:
     _write("write", source, file, asked, output)
 
 
-@command.command()
-@click.argument("source")
+@_writing
 @click.argument("file", type=FILE, required=False)
-@_write_options
-@common_options
 def restore(source: str, file: Path | None, asked: Asked, output: Output) -> None:
     """Put back what an undo file or a backup holds (default: the last undo file of this vehicle).
 
@@ -168,7 +166,6 @@ def backup(source: str, file: Path | None, yes: bool, system: int | None, output
     \b
     Example: mavcompass params backup udpin:0.0.0.0:14550 compass.param
     """
-    from mavcompass.printable import counted
     from mavcompass.vehicle.parameters.files import parameter_form, parameter_text, write_parameter_file
     from mavcompass.vehicle.parameters.undo import marked
 
@@ -204,7 +201,6 @@ def _head(action: str, source: str, held: HeldParameters) -> dict[str, object]:
 def _read(source: str, system: int | None) -> HeldParameters:
     """Read what a vehicle or a recording holds."""
     from mavcompass.vehicle.session import read_vehicle, recorded_parameters
-    from mavcompass.vehicle.transport import Recording, parse_address
 
     if isinstance(parse_address(source), Recording):
         from mavcompass import read_track
@@ -230,11 +226,12 @@ def _run(source: str, script: Callable[[Context], Script[Any]]) -> Any:
 
 def _write(action: str, source: str, file: Path | None, asked: Asked, output: Output) -> None:
     """Write what a file holds; without one, what the vehicle's last undo file holds."""
-    from mavcompass.printable import counted
     from mavcompass.vehicle.parameters.undo import read_kept, undo_saver
     from mavcompass.vehicle.session import compass_part, write_values
 
-    _check_call(source, asked.yes, asked.dry_run)
+    if isinstance(parse_address(source), Recording):
+        raise UsageError(f"{source} is a recording, which cannot be written to.", "Give a vehicle's address.")
+    refuse_unasked_write(asked.yes, asked.dry_run)
     require_for(source)
     named = None if file is None else read_kept(file)  # what is wrong with it is told first
     document: dict[str, object] = {"schema": SCHEMA, "action": action, "source": source, "file": file}
@@ -278,14 +275,6 @@ def _write(action: str, source: str, file: Path | None, asked: Asked, output: Ou
     output.write_json(document)
 
 
-def _check_call(source: str, yes: bool, dry_run: bool) -> None:
-    from mavcompass.vehicle.transport import Recording, parse_address
-
-    if isinstance(parse_address(source), Recording):
-        raise UsageError(f"{source} is a recording, which cannot be written to.", "Give a vehicle's address.")
-    refuse_unasked_write(yes, dry_run)
-
-
 def _plan_part(plan: ParameterPlan) -> dict[str, object]:
     return {
         "changes": [{"name": c.name, "old": c.old, "new": c.new} for c in plan.changes],
@@ -296,7 +285,8 @@ def _plan_part(plan: ParameterPlan) -> dict[str, object]:
 
 def _say_plan(output: Output, held: HeldParameters, plan: ParameterPlan) -> None:
     if plan.changes:
-        _show_changes(output, plan.changes)
+        cells = [(c.name, _number(c.old), _number(c.new)) for c in plan.changes]
+        _rows(output, ["parameter", "old", "new"], cells, "{:<16} {} -> {}")
         if held.armed:
             then = "its heading will change while it is in use"
             if held.dialect.loads_disarmed:
@@ -307,8 +297,6 @@ def _say_plan(output: Output, held: HeldParameters, plan: ParameterPlan) -> None
 
 
 def _say_outcome(output: Output, report: WriteReport, dry_run: bool) -> None:
-    from mavcompass.printable import counted
-
     outcome = report.outcome
     if outcome is None:
         for refusal in report.plan.refusals:
@@ -344,23 +332,6 @@ def _show_parameters(output: Output, held: HeldParameters) -> None:
         [[quantity, *(cells.get(i, "") for i in compasses)] for quantity, cells in rows.items()],
     )
     _table(["of all compasses", "value"], shared)
-
-
-def _show_difference(
-    output: Output, held: HeldParameters, differing: Mapping[str, tuple[float | None, float]]
-) -> None:
-    """Show where a file and the vehicle differ."""
-    cells = [
-        (name, "absent" if old is None else _number(old), _number(new))
-        for name, (old, new) in differing.items()
-    ]
-    _rows(output, ["parameter", "vehicle", "file"], cells, "{:<16} vehicle {}, file {}")
-
-
-def _show_changes(output: Output, changes: Iterable[Change]) -> None:
-    """Show what a write will do."""
-    cells = [(c.name, _number(c.old), _number(c.new)) for c in changes]
-    _rows(output, ["parameter", "old", "new"], cells, "{:<16} {} -> {}")
 
 
 def _rows(output: Output, head: Sequence[str], cells: Sequence[Sequence[str]], line: str) -> None:

@@ -248,17 +248,12 @@ def _about(link: Link | None) -> tuple[Finding, ...]:
         return (Finding("link", 0, "bad", "Compass: two autopilots share a system id", what, remedy),)
     if link is None or link.behind_s() < _FLOODED_S:
         return ()
-    return (
-        Finding(
-            "link",
-            0,
-            "warning",
-            "Compass: more messages than can be read",
-            f"More messages come on {link.name} than this computer can read: what they tell is late or lost.",
-            "Lower the rates of the vehicle's messages (SRn_*, MAV_n_RATE), or end what else keeps this"
-            " computer busy.",
-        ),
+    text = f"More messages come on {link.name} than this computer can read: what they tell is late or lost."
+    remedy = (
+        "Lower the rates of the vehicle's messages (SRn_*, MAV_n_RATE), or end what else keeps this"
+        " computer busy."
     )
+    return (Finding("link", 0, "warning", "Compass: more messages than can be read", text, remedy),)
 
 
 def _wanted_rates(identity: VehicleIdentity, rate_hz: float) -> dict[type[mav.Message], float]:

@@ -215,29 +215,20 @@ def _offer(lesson: Lesson, margin_deg: float) -> Finding:
     assert lesson.learnt is not None
     i, result = lesson.instance, lesson.learnt.result
     old_deg, new_deg = result.heading_change_deg, result.heading_sigma_deg
-    return Finding(
-        "learnt",
-        i,
-        "warning",
-        f"Compass {i} is {old_deg:.0f} deg off, learnt: {new_deg:.1f} deg",
+    short = f"Compass {i} is {old_deg:.0f} deg off, learnt: {new_deg:.1f} deg"
+    text = (
         f"Compass {i} points {old_deg:.1f} degrees off, rms over the circle, by what was learnt on the way; "
-        f"the calibration that was learnt is good to {new_deg:.1f} degrees.",
-        "Disarm the vehicle, then have it written.",
-        old_deg,
-        margin_deg,
-        "running",
+        f"the calibration that was learnt is good to {new_deg:.1f} degrees."
     )
+    remedy = "Disarm the vehicle, then have it written."
+    return Finding("learnt", i, "warning", short, text, remedy, old_deg, margin_deg, "running")
 
 
 def _changed(lesson: Lesson) -> Finding:
     assert lesson.learnt is not None and lesson.learnt.change is not None and lesson.changed_at is not None
     i, moved = lesson.instance, lesson.learnt.change.moved_mgauss
-    return Finding(
-        "moved",
-        i,
-        "warning",
-        f"Compass {i}: iron changed {lesson.changed_at:%H:%M} UTC, {moved:.0f} mG",
-        f"The iron around compass {i} changed by about {moved:.0f} mG at {lesson.changed_at:%H:%M:%S} UTC.",
-        "Find what was moved (a battery, a payload, a tool); calibrate if it stays.",
-        moved,
-    )
+    short = f"Compass {i}: iron changed {lesson.changed_at:%H:%M} UTC, {moved:.0f} mG"
+    when = f"{lesson.changed_at:%H:%M:%S} UTC"
+    text = f"The iron around compass {i} changed by about {moved:.0f} mG at {when}."
+    remedy = "Find what was moved (a battery, a payload, a tool); calibrate if it stays."
+    return Finding("moved", i, "warning", short, text, remedy, moved)

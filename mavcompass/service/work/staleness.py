@@ -22,49 +22,25 @@ def stale_findings(
     age_days: float,
 ) -> list[Finding]:
     """List why the calibration in force on one compass is not, or no longer, what was calibrated."""
-    correction = dialect.correction(parameters, instance)
-    findings: list[Finding] = []
-    if not is_calibrated(dialect.autopilot, parameters, instance, correction):
+    i, findings = instance, list[Finding]()
+    if not is_calibrated(dialect.autopilot, parameters, i, dialect.correction(parameters, i)):
+        text = f"The autopilot holds no calibration of compass {i}."
         findings.append(
-            Finding(
-                "uncalibrated",
-                instance,
-                "bad",
-                f"Compass {instance} is not calibrated",
-                f"The autopilot holds no calibration of compass {instance}.",
-                "Calibrate it.",
-            )
+            Finding("uncalibrated", i, "bad", f"Compass {i} is not calibrated", text, "Calibrate it.")
         )
     if last is None:
         return findings
     days = (now - datetime.fromisoformat(last.made_at)).total_seconds() / 86400.0
     if days > age_days:
-        findings.append(
-            Finding(
-                "age",
-                instance,
-                "warning",
-                f"Compass {instance}: calibrated {days:.0f} days ago",
-                f"The calibration of compass {instance} is {days:.0f} days old.",
-                "Calibrate it again.",
-                days,
-                age_days,
-            )
-        )
-    changed = _changed(last, parameters, instance)
-    if changed:
+        short = f"Compass {i}: calibrated {days:.0f} days ago"
+        text = f"The calibration of compass {i} is {days:.0f} days old."
+        findings.append(Finding("age", i, "warning", short, text, "Calibrate it again.", days, age_days))
+    if changed := _changed(last, parameters, i):
         differ = "differs" if len(changed) == 1 else "differ"
-        findings.append(
-            Finding(
-                "parameters",
-                instance,
-                "warning",
-                f"Compass {instance}: calibration was changed",
-                f"{', '.join(changed)} of compass {instance} {differ} from what was calibrated"
-                f" {last.made_at[:10]}.",
-                "If that was not on purpose, put the calibration back or calibrate again.",
-            )
-        )
+        text = f"{', '.join(changed)} of compass {i} {differ} from what was calibrated {last.made_at[:10]}."
+        remedy = "If that was not on purpose, put the calibration back or calibrate again."
+        short = f"Compass {i}: calibration was changed"
+        findings.append(Finding("parameters", i, "warning", short, text, remedy))
     return findings
 
 
