@@ -16,7 +16,7 @@ from mavcompass.calibration.methods import method_names
 from mavcompass.cli.options import THERE, Number, Whole
 from mavcompass.errors import UsageError
 from mavcompass.installation.parts import require
-from mavcompass.vehicle.transport import Address, Recording, Serial, parse_address
+from mavcompass.vehicle.transport import Address, Serial, parse_address
 
 if TYPE_CHECKING:
     from mavcompass.vehicle.link import Link
@@ -169,24 +169,14 @@ def require_for(
         report: the file of a report, or whether there is one.
         also: more keys of `PARTS`.
     """
-    needs = [need for source in sources if source is not None and (need := _need_of(source)) is not None]
-    if report:
-        needs.append("An HTML report")
-    require(*dict.fromkeys([*needs, *also]))
+    addresses = (parse_address(source) if isinstance(source, str) else source for source in sources)
+    serial = ["A serial port"] if any(isinstance(address, Serial) for address in addresses) else []
+    require(*serial, *(["An HTML report"] if report else []), *also)
     if isinstance(report, Path) and not report.absolute().parent.is_dir():
         raise UsageError(
             f"The report could not be written: the folder of {report} does not exist.",
             "Make it, or name another.",
         )
-
-
-def _need_of(source: str | Path | Address) -> str | None:
-    if isinstance(source, Path):
-        source = Recording(source)
-    match parse_address(source) if isinstance(source, str) else source:
-        case Serial():
-            return "A serial port"
-    return None
 
 
 # --- a vehicle at a port, for any number of clients -------------------------------------------------

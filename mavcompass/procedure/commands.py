@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -53,7 +52,6 @@ class MessageRates:
 
     _before_us: dict[type[mav.Message], int] = field(default_factory=dict)
     _tells_intervals: bool = True
-    _heard_s: float = -math.inf
 
     def ask(
         self, context: Context, rates_hz: Mapping[type[mav.Message], float]
@@ -93,15 +91,11 @@ class MessageRates:
 
     def restore(self, context: Context) -> Script[None]:
         """Put back every rate that was changed; a vehicle that no longer says anything is left."""
-        context.listeners.append(self._hear)
-        self._heard_s = context.now
-        try:
-            while self._before_us and context.now - self._heard_s < _SILENCE_S:
-                kind, before_us = next(reversed(self._before_us.items()))
-                if (yield from self._put_back(context, kind, before_us)):
-                    del self._before_us[kind]
-        finally:
-            context.listeners.remove(self._hear)
+        began_s = context.now
+        while self._before_us and context.now - max(began_s, context.heard_s) < _SILENCE_S:
+            kind, before_us = next(reversed(self._before_us.items()))
+            if (yield from self._put_back(context, kind, before_us)):
+                del self._before_us[kind]
         if self._before_us:
             context.show("end", "The vehicle no longer answers: its message rates were not put back.")
 
@@ -117,9 +111,6 @@ class MessageRates:
         except NoReply:
             return False
         return True
-
-    def _hear(self, heard: mav.Incoming) -> None:
-        self._heard_s = heard.time_s
 
     def interval_us(self, context: Context, kind: type[mav.Message]) -> Script[int | None]:
         """Ask how often a message is sent, in microseconds; None where no answer comes."""

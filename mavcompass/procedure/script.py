@@ -98,7 +98,7 @@ class Context:
 
     Attributes:
         now: time of the event being handled, seconds on the link's clock.
-        system, component: the vehicle's MAVLink address, 0 until it is known.
+        system, component: the vehicle's MAVLink address, 0 until it is known. heard_s: when it spoke last.
         listeners: called with every message from the vehicle before the script sees it.
         watches: called after each event with the time; a sentence stops the procedure.
         alone: the vehicle was taken because no other was heard; one that appears later is to be told.
@@ -111,6 +111,7 @@ class Context:
     now: float = 0.0
     system: int = 0
     component: int = 0
+    heard_s: float = -math.inf
     listeners: list[Callable[[Incoming], None]] = field(default_factory=list)
     watches: list[Callable[[float], str | None]] = field(default_factory=list)
     outbox: list[Action] = field(default_factory=list)
@@ -189,6 +190,7 @@ class Machine(Generic[T]):
         context = self.context
         try:
             if (message := context.heard_from_vehicle(event)) is not None:
+                context.heard_s = message.time_s
                 for listener in context.listeners:
                     listener(message)
             if self._stopped is None:

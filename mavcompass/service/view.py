@@ -71,10 +71,10 @@ class VehicleView:
         message = heard.message
         self.heard_s = heard.time_s
         kind = type(message)
-        if kind is mav.RawImu:
-            return self._raw(heard.time_s, message)  # type: ignore[arg-type]
-        if kind is mav.ScaledImu or kind is mav.ScaledImu2 or kind is mav.ScaledImu3:
-            return self._scaled(heard.time_s, message)  # type: ignore[arg-type]
+        if kind is mav.RawImu or kind is mav.ScaledImu:
+            return self._body(heard.time_s, message)  # type: ignore[arg-type]
+        if kind is mav.ScaledImu2 or kind is mav.ScaledImu3:
+            return self._compass(3 if kind is mav.ScaledImu3 else 2, heard.time_s, message)  # type: ignore[arg-type]
         self.state.hear(heard)
         hear(self.level, message)
         if kind is mav.GlobalPositionInt:
@@ -84,48 +84,35 @@ class VehicleView:
                 compass.hear_receiver(message)  # type: ignore[arg-type]
         return None
 
-    def _raw(self, time_s: float, imu: mav.RawImu) -> Heading | None:
-        if self.identity.autopilot == "px4":
-            return None  # its SCALED_IMU is the one whose numbers are known
-        self._preferred_s = time_s
-        return self._body(time_s, imu.time_usec * 1e-6, imu)
-
-    def _scaled(self, time_s: float, imu: mav.ScaledImu) -> Heading | None:
-        boot_s = imu.time_boot_ms * 1e-3
-        if type(imu) is mav.ScaledImu:
-            if time_s - self._preferred_s < _PREFERRED_SILENCE_S:
-                return None  # RAW_IMU says the same, finer in time
-            return self._body(time_s, boot_s, imu)
-        return self._compass(3 if type(imu) is mav.ScaledImu3 else 2, time_s, boot_s, imu)
-
-    def _body(self, time_s: float, boot_s: float, imu: mav.RawImu | mav.ScaledImu) -> Heading | None:
-        self.boot_s = boot_s
+    def _body(self, time_s: float, imu: mav.RawImu | mav.ScaledImu) -> Heading | None:
+        """Take the first compass's message, in one of the two forms in which it comes."""
+        if type(imu) is mav.RawImu:
+            if self.identity.autopilot == "px4":
+                return None  # its SCALED_IMU is the one whose numbers are known
+            self._preferred_s = time_s
+        elif time_s - self._preferred_s < _PREFERRED_SILENCE_S:
+            return None  # RAW_IMU says the same, finer in time
+        self.boot_s = _boot_s(imu)
         hear(self.level, imu)
-        return self._compass(1, time_s, boot_s, imu)
+        return self._compass(1, time_s, imu)
 
-    def _compass(
-        self, instance: int, time_s: float, boot_s: float, imu: mav.RawImu | mav.ScaledImu
-    ) -> Heading | None:
+    def _compass(self, instance: int, time_s: float, imu: mav.RawImu | mav.ScaledImu) -> Heading | None:
         compass = self.compasses.get(instance)
         if compass is None:
             compass = self.compasses[instance] = LiveCompass(instance)
             compass.set_world(self.world)
             self._tell_correction(compass)
         field_mgauss = (float(imu.xmag), float(imu.ymag), float(imu.zmag))
-        heading = compass.update(time_s, boot_s, field_mgauss, self.level)
+        heading = compass.update(time_s, _boot_s(imu), field_mgauss, self.level)
         if heading is not None:
             self._agreement.hear(heading, self.compasses, self.level.rate_radps)
         return heading
 
     def restarted(self, message: mav.Message) -> bool:
         """Tell whether a message shows that the vehicle's clock began anew."""
-        if isinstance(message, mav.RawImu):
-            boot_s = message.time_usec * 1e-6
-        elif isinstance(message, mav.ScaledImu | mav.Attitude | mav.GlobalPositionInt):
-            boot_s = message.time_boot_ms * 1e-3
-        else:
+        if not isinstance(message, mav.RawImu | mav.ScaledImu | mav.Attitude | mav.GlobalPositionInt):
             return False
-        return boot_s < self.boot_s - _REBOOT_S
+        return _boot_s(message) < self.boot_s - _REBOOT_S
 
     def restart(self) -> None:
         """Forget what a reboot ends."""
@@ -220,3 +207,7 @@ class VehicleView:
             speed_mps=speed_mps,
             current_a=battery.current_battery * 0.01 if measured and battery is not None else None,
         )
+
+
+def _boot_s(message: mav.RawImu | mav.ScaledImu | mav.Attitude | mav.GlobalPositionInt) -> float:
+    return message.time_usec * 1e-6 if isinstance(message, mav.RawImu) else message.time_boot_ms * 1e-3
