@@ -19,7 +19,7 @@ from mavcompass.cli.source import (
     reference_option,
     require_for,
 )
-from mavcompass.cli.terminal.bar import bar
+from mavcompass.cli.terminal.lines import bar
 from mavcompass.printable import counted
 
 if TYPE_CHECKING:

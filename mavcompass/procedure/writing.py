@@ -31,6 +31,10 @@ _GOING_DOWN_S = 2.5
 _BACK_WITHIN_S = 60.0
 _PLACE_WITHIN_S = 120.0
 _RESTART = 1.0
+# A heading is compared with the autopilot's over so long a rest; who does not rest is not waited for.
+_REST_S, _REST_WITHIN_S = 1.5, 6.0
+# Parameters travel as 32 bit floats.
+_SAME = 1e-3
 
 
 @dataclass(slots=True)
@@ -150,12 +154,6 @@ def _wait_for_place(desk: Desk, knew_place: bool) -> Script[None]:
             context.show("restart", "The autopilot is back; waiting until it knows its place.")
             told_s = context.now
         yield from pause(context, 0.5)
-
-
-# A heading is compared with the autopilot's over so long a rest; who does not rest is not waited for.
-_REST_S, _REST_WITHIN_S = 1.5, 6.0
-# Parameters travel as 32 bit floats.
-_SAME = 1e-3
 
 
 def write_learnt(

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from mavcompass.cli import fleet as shown
-from mavcompass.cli.terminal import bar
+from mavcompass.cli.terminal import lines
 from mavcompass.fleet.run import Progress
 from mavcompass.fleet.summary import History, Point, Summary, Vehicle, _reasons
 from mavcompass.printable import figure
@@ -34,7 +34,7 @@ def test_a_pipe_gets_no_bar(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_terminal_gets_counts_errors_and_what_takes_long(
     progress: Progress, words: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(bar, "is_live", lambda: True)
+    monkeypatch.setattr(lines, "is_live", lambda: True)
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "200")
     with shown.showing() as show:
@@ -46,7 +46,7 @@ def test_a_terminal_gets_counts_errors_and_what_takes_long(
 def test_what_takes_less_than_twenty_seconds_is_not_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(bar, "is_live", lambda: True)
+    monkeypatch.setattr(lines, "is_live", lambda: True)
     monkeypatch.setenv("FORCE_COLOR", "1")
     with shown.showing() as show:
         show(Progress(9, 5, 0, (("a/b.BIN", 19.0),)))

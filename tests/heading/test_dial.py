@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from mavcompass.cli.terminal.dial import card
+from mavcompass.cli.terminal.lines import card
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The single questions of the pre-flight check: pure functions from what was read to pass, warn or fail."""
+"""The questions of the pre-flight check, from what was read to pass, warn or fail; and the list of them."""
 
 from __future__ import annotations
 
@@ -44,6 +44,8 @@ _STEERING: dict[SteeringSource, str] = {
 }
 # Field strength on Earth, with room for the crust.
 _EARTH_MGAUSS = (185.0, 720.0)
+SCHEMA = "mavcompass.check/1"
+_GOES = {**dict.fromkeys((*HOVERING, "plane"), "fly"), "sub": "dive", "boat": "sail", "unknown": "set out"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,10 +300,6 @@ def judge_turn(instance: int, field_turned_deg: float, gyro_turned_deg: float, s
         f" ({off_deg:+.1f})."
     )
     return _graded("turn", off_deg, limit_deg, max(8.0, 2.0 * limit_deg), text, "Calibrate.", instance)
-
-
-SCHEMA = "mavcompass.check/1"
-_GOES = {**dict.fromkeys((*HOVERING, "plane"), "fly"), "sub": "dive", "boat": "sail", "unknown": "set out"}
 
 
 def _is_calibration(item: CheckItem) -> bool:

@@ -292,16 +292,8 @@ class Gaps:
         try:
             document = self._worker.call(diagnose, path, report, timeout_s=DIAGNOSE_S)
             summary = f"{document.get('verdict', 'unknown')}: {_causes(document) or 'nothing is named'}"
-            number = self._history.add(
-                "gap",
-                utc_now(),
-                entry.vehicle,
-                True,
-                summary,
-                document,
-                entry.compasses,
-                str(report),
-            )
+            what = (entry.vehicle, True, summary, document, entry.compasses, str(report))
+            number = self._history.add("gap", utc_now(), *what)
             task.finish(True, document, number)
         except Exception as error:
             if not isinstance(error, MavCompassError):

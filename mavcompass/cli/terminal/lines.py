@@ -1,4 +1,4 @@
-"""A compass in one line of a terminal: the card slides past a mark, the figures stand beside it."""
+"""Lines that a terminal draws anew: a compass whose card slides past a mark, a bar of what is done."""
 
 from __future__ import annotations
 
@@ -64,3 +64,24 @@ def dial(wanted: bool = True) -> Iterator[Callable[[float, Sequence[str]], None]
     finally:
         sys.stdout.write("\n")
         sys.stdout.flush()
+
+
+# What is done, of how much, and words.
+Bar = Callable[[int, int, str], None]
+
+
+@contextmanager
+def bar() -> Iterator[Bar]:
+    """Show a bar on a terminal, nothing in a pipe; transient."""
+    if not is_live():
+        yield lambda done, of, words: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True, no_color=bool(os.environ.get("NO_COLOR")))
+    words = TextColumn("{task.description}")
+    columns = (BarColumn(bar_width=24), MofNCompleteColumn(), words, TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task("", total=None)
+        yield lambda done, of, words: progress.update(task, total=of, completed=done, description=words)
