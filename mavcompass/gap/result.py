@@ -15,6 +15,11 @@ from mavcompass.frames import FloatArray
 
 Verdict = Literal["no_gap", "named", "ambiguous", "named_with_remainder", "unknown", "not_testable"]
 SCHEMA = "mavcompass.gap/1"
+_OF_THE_LOG = ("path", "sha256", "duration_s", "samples", "autopilot")
+_AS_THEY_ARE = (
+    "compass", "reference", "verdict", "causes", "look_alikes", "where", "waterfall", "next_flight", "late_s",
+    "corrected_rms_mgauss", "withheld", "notes", "seconds",
+)  # fmt: skip
 # Where a belief has the field, the matrix, the offset and the motors; and where its effects begin.
 FIELD, MATRIX, OFFSET, MOTOR, EFFECTS = slice(0, 3), slice(3, 12), slice(12, 15), slice(15, 18), 18
 
@@ -266,32 +271,18 @@ class Diagnosis:
         """Return the document `mavcompass.gap/1`, plain values only."""
         return {
             "schema": SCHEMA,
-            "log": {
-                name: getattr(self, name) for name in ("path", "sha256", "duration_s", "samples", "autopilot")
-            },
-            "compass": self.compass,
-            "reference": self.reference,
-            "verdict": self.verdict,
-            "causes": plain(self.causes),
-            "look_alikes": plain(self.look_alikes),
+            "log": {name: getattr(self, name) for name in _OF_THE_LOG},
+            **{name: plain(getattr(self, name)) for name in _AS_THEY_ARE},
             "ambiguity_set": [{"effects": list(ids), "weight": w} for ids, w in self.ambiguity_set],
-            "where": plain(self.where),
             "gap": {"field_rms_mgauss": plain(self.field), "heading_rms_deg": plain(self.heading)},
-            "waterfall": plain(self.waterfall),
             "unknown": {
                 "flagged": self.unknown,
                 "coordinate": self.unknown_coordinate,
                 "tests": [{"name": name, "p": p} for name, p in self.tests],
             },
             "not_testable": [{"effect": e, "why": why} for e, why in self.not_testable],
-            "next_flight": plain(self.next_flight),
-            "late_s": self.late_s,
-            "corrected_rms_mgauss": self.corrected_rms_mgauss,
             "in_force": self.in_force.to_json() if self.in_force is not None else None,
             "folded_from_baseline": list(self.folded),
-            "withheld": list(self.withheld),
-            "notes": list(self.notes),
-            "seconds": self.seconds,
             "beliefs": [belief.to_json() for belief in self.beliefs],
         }
 

@@ -24,9 +24,9 @@ _LEAST_SHARE = 0.02
 
 def rehearsal_summary(rehearsal: Rehearsal) -> list[str]:
     """Put a rehearsal in a few lines for a terminal."""
-    errors = rehearsal.errors
+    errors = rehearsal.heading_error_deg
     lines = [
-        f"Expect {_expected(errors.level)} of heading error on the level, {_expected(errors.tilted)} leaning"
+        f"Expect {_expected(errors.level)} of heading error on the level, {_expected(errors.tilt_15)} leaning"
         " by 15 deg.",
         f"  {rehearsal.draws} vehicles of this kind calibrated, {rehearsal.positions:.1f} positions each;"
         f" the calibration itself would claim {rehearsal.claimed_deg:.2f} deg (compass {rehearsal.compass})",
@@ -53,17 +53,17 @@ def is_worth_it(remedy: Remedy) -> bool:
 
 def part_words(part: Part) -> str:
     """Name an effect by its id and title, a source of error in words."""
-    return f"{part.name} ({get(part.name).title})" if part.is_effect else _SOURCES[part.name]
+    return f"{part.name} ({get(part.name).title})" if part.kind == "effect" else _SOURCES[part.name]
 
 
 def remedy_words(remedy: Remedy) -> str:
     """Say what was done and what it brings."""
-    level, tilted = remedy.errors.level.rms_deg, remedy.errors.tilted.rms_deg
-    return f"{remedy.words}: {level:.2f} deg on the level, {tilted:.2f} leaning"
+    level, tilted = remedy.heading_error_deg.level.rms, remedy.heading_error_deg.tilt_15.rms
+    return f"{remedy.what}: {level:.2f} deg on the level, {tilted:.2f} leaning"
 
 
 def _expected(expected: Expected) -> str:
-    return f"{expected.rms_deg:.2f} deg rms (95 of 100 below {expected.at_most95_deg:.2f})"
+    return f"{expected.rms:.2f} deg rms (95 of 100 below {expected.interval95[1]:.2f})"
 
 
 def write_rehearsal_report(rehearsal: Rehearsal, path: Path) -> None:

@@ -166,7 +166,8 @@ def examined(of: Wanted) -> Line | None:
     nothing = Answer("unknown", (), (), 1.0, 1.0, 0.0, (0.0, 0.0), 1.0)
     return {
         "case": list(of), "maker": of.maker, "tier": of.tier, "truth": list(label.ids),
-        "beside": sorted(evidence.beside_ids), "kind": known.kind, "gain": known.gain, "found": known.found,
+        "beside": sorted(evidence.beside_ids), "kind": known.kind, "gain": known.gain,
+        "found": bool(posterior.best.fit.terms) or evidence.beside,
         "values": known.values, "rows": evidence.identified.first.count,
         "overdispersion": posterior.overdispersion,
         "separation": score(label, nothing, None).separation if of.tier in APART else None,

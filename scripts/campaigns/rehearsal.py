@@ -63,7 +63,7 @@ def told(tracks: Iterable[Track], draws: int) -> tuple[str, Expected, Expected]:
                 errors = calibrations(kind, Draws(kind, 1), draws).errors
         except BadRecording:  # the log of a flight with a restart in it may end before it began
             continue
-        return f"{diagnosis.verdict} {','.join(sorted(diagnosis.effects))}", errors.level, errors.tilted
+        return f"{diagnosis.verdict} {','.join(sorted(diagnosis.effects))}", errors.level, errors.tilt_15
     raise BadRecording("None of the vehicle's recordings can be diagnosed.", "Name others.")
 
 
@@ -143,15 +143,15 @@ def main() -> int:
         verdict, *expected = told(tracks, wanted.draws)
         line = f"{vehicle:28} {verdict:24}"
         for where, one, values in zip(PLACES, expected, zip(*reached, strict=True), strict=True):
-            inside = sum(value <= one.at_most95_deg for value in values)
+            inside = sum(value <= one.interval95[1] for value in values)
             row = {"vehicle": vehicle, "where": where, "told": one, "reached": values, "inside": inside}
             table.append(row)
-            line += f" | {one.rms_deg:.2f} (below {one.at_most95_deg:.2f}), reached "
+            line += f" | {one.rms:.2f} (below {one.interval95[1]:.2f}), reached "
             line += f"{min(values):.2f} to {max(values):.2f}: {inside}/{len(values)}"
         print(line, flush=True)
     for where in PLACES:
         rows = [row for row in table if row["where"] == where]
-        ratios = [value / row["told"].rms_deg for row in rows for value in row["reached"]]
+        ratios = [value / row["told"].rms for row in rows for value in row["reached"]]
         inside = share(sum(row["inside"] for row in rows), len(ratios))
         print(f"  {where}: {inside} below the bound; rms of reached over told: {rms(np.array(ratios)):.2f}")
     return ended(wanted.json, table, wrong=False)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from mavcompass.gap.answer.evidence import Evidence, above, figures, statistics, yaw_wander_deg
 from mavcompass.gap.fit.hypothesis import Fit
 from mavcompass.gap.result import Closing, Verdict
-from mavcompass.gap.tables import Levels, Outcome, tables
+from mavcompass.gap.tables import Outcome, tables
 
 Sets = tuple[tuple[frozenset[str], float], ...]
 
@@ -18,37 +18,29 @@ class Findings:
     """Hold what the verdict is made of.
 
     Attributes:
-        found: there is a best set, or single readings show something; searched: only that set shows it.
-        confirmed: something lies above the floor without it, or what it was not fitted to gains.
-        p_gain: how seldom healthy vehicles gain as much from any set; p_fit: how seldom they leave as much.
+        silent: no single readings show anything, and no set what healthy vehicles do not.
+        left: what is left lies above the floor, or is what healthy vehicles seldom leave.
         outcomes: what the best set may be; shared: something else than the catalogue's effect makes the same.
-        above: what is left lies above the floor; testable: silence would tell something.
+        testable: silence would tell something.
     """
 
-    found: bool
-    searched: bool
-    confirmed: bool
-    p_gain: float
-    p_fit: float
+    silent: bool
+    left: bool
     outcomes: Mapping[Outcome, float]
     shared: bool
-    above: bool
     testable: bool
 
 
-def verdict(of: Findings, levels: Levels) -> Verdict:
-    """Decide what is said: equation (3) of docs/gap.md."""
-    left = of.above or of.p_fit <= levels.fit
-    if not of.found or (of.searched and (of.p_gain > levels.gain or not of.confirmed)):
-        if left:
-            return "unknown"
-        return "no_gap" if of.testable else "not_testable"
+def verdict(of: Findings, sure: float) -> Verdict:
+    """Decide what is said: equation (3) of docs/gap.md; `sure` is the probability that names a set."""
+    if of.silent:
+        return "unknown" if of.left else "no_gap" if of.testable else "not_testable"
     whole, part, other, unknown = (of.outcomes[one] for one in ("whole", "part", "other", "unknown"))
     if unknown > max(whole + part, other):
         return "unknown"
-    if whole >= levels.sure and not (left or of.shared):
+    if whole >= sure and not (of.left or of.shared):
         return "named"
-    if left or part > max(whole, other):
+    if of.left or part > max(whole, other):
         return "named_with_remainder" if whole + part > other + unknown else "unknown"
     return "ambiguous"
 
@@ -81,16 +73,15 @@ def decide(evidence: Evidence) -> Answer:
     field, heading = figures(evidence, fit, with_scatter=True)
     if evidence.frozen:
         return Answer("named_with_remainder", none, field, heading, (), evidence.adequacy.where)
-    known = statistics(evidence, field, heading)
-    healthy = table.healthy
+    known, levels = statistics(evidence, field, heading), table.levels
     outcomes = table.map.probabilities(known.values)
-    p_gain = healthy.p_of_gain(known.gain)
     alone = figures(evidence, none, with_scatter=False)
     # Something lies above a floor without the set, or what it was not fitted to gains: other readings, and
     # what is known of vehicle and place.
     relieved = posterior.nothing.strain - posterior.best.strain
     confirmed = known.held_out_gain + relieved > 0.0 or any(c.nominal > c.floor for c in alone)
-    silent = not evidence.beside and (not fit.terms or p_gain > table.levels.gain or not confirmed)
+    healthy = table.healthy.p_of_gain(known.gain) > levels.gain
+    silent = not evidence.beside and (not fit.terms or healthy or not confirmed)
     # Names beside a yaw that has to wander are borne out by no heading.
     wander_deg = 0.0 if silent else yaw_wander_deg(identified.problem, fit, floor, heading)
     if silent:
@@ -100,19 +91,16 @@ def decide(evidence: Evidence) -> Answer:
     turns = bool(evidence.replay.present & {"turning", "tilt"}) or floor.measured
     # An exact floor is judged in detail instead.
     lifted = known.kind != "exact" and any(above(c, c.after) for c in (field, heading))
+    seldom = table.healthy.p_of_fit(known.kind, known.values) <= levels.fit
     said = verdict(
         Findings(
-            found=known.found,
-            searched=bool(fit.terms) and not evidence.beside,
-            confirmed=confirmed,
-            p_gain=p_gain,
-            p_fit=healthy.p_of_fit(known.kind, known.values),
+            silent=silent,
+            left=shown or wander_deg > 0.0 or lifted or seldom,
             outcomes=outcomes,
             shared=bool(fit.ids & evidence.half_testable),
-            above=shown or wander_deg > 0.0 or lifted,
-            testable=turns and (floor.measured or heading.floor < table.levels.coarsest_deg),
+            testable=turns and (floor.measured or heading.floor < levels.coarsest_deg),
         ),
-        table.levels,
+        levels.sure,
     )
     known_sets = ((fit.ids, outcomes["whole"] + outcomes["part"]), *posterior.weights(outcomes["other"]))
     where = evidence.adequacy.where if said in ("unknown", "named_with_remainder") else None

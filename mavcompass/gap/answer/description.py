@@ -21,12 +21,7 @@ from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.left.floor import Floor, heading_error_rad, rms
 from mavcompass.gap.replay.noise import group_values
 from mavcompass.gap.replay.nominal import level_mgauss
-from mavcompass.gap.replay.nuisance import (
-    IRON_MATRIX,
-    IRON_OFFSET,
-    TELEMETRY_AGE,
-    WORLD_FIELD,
-)
+from mavcompass.gap.replay.nuisance import IRON_MATRIX, IRON_OFFSET, TELEMETRY_AGE, WORLD_FIELD
 from mavcompass.gap.result import (
     EFFECTS,
     FIELD,

@@ -84,14 +84,12 @@ class Evidence:
 class Statistics:
     """Hold the statistics of a recording by name, and the population that they belong to.
 
-    `gain` is that of the best set over none, `held_out_gain` that of readings that were not fitted; `found`
-    tells whether there is anything to be named.
+    `gain` is that of the best set over none, `held_out_gain` that of readings that were not fitted.
     """
 
     kind: Kind
     gain: float
     held_out_gain: float
-    found: bool
     values: dict[str, float]
 
 
@@ -127,7 +125,7 @@ def statistics(evidence: Evidence, field: Closing, heading: Closing) -> Statisti
         "exact": float(kind == "exact"),
         "alone": float(kind in ("alone", "reference")),
     }
-    return Statistics(kind, posterior.gain, gained, bool(best.terms) or evidence.beside, values)
+    return Statistics(kind, posterior.gain, gained, values)
 
 
 def _squares(problem: Problem, fit: Fit) -> float:

@@ -28,65 +28,37 @@ class Reduced:
 
     def __init__(self, diagonal: FloatArray, beside: FloatArray) -> None:
         """Take the blocks on the diagonal (K, n, n) and those right of them (K - 1, n, n)."""
-        self.log_determinant = 0.0
-        self._rounds: list[_Round] = []
-        while len(diagonal) > 1:
-            odd = diagonal[1::2]
-            one = _Round(np.asarray(np.linalg.inv(odd)), beside[::2].transpose(0, 2, 1), beside[1::2])
-            self.log_determinant += float(np.linalg.slogdet(odd)[1].sum())
-            self._rounds.append(one)
-            diagonal, beside = one.left_of(diagonal[::2])
-        self._last = np.asarray(np.linalg.inv(diagonal))
-        self.log_determinant += float(np.linalg.slogdet(diagonal)[1].sum())
+        # Those of odd number go; of one state alone, that.
+        gone = diagonal[1::2] if len(diagonal) > 1 else diagonal
+        self._inverse = np.asarray(np.linalg.inv(gone))
+        self.log_determinant = float(np.linalg.slogdet(gone)[1].sum())
+        self._rest: Reduced | None = None
+        if len(diagonal) == 1:
+            return
+        # The last eliminated state may have none after it.
+        before, after = beside[::2].transpose(0, 2, 1), beside[1::2]
+        last = len(after)
+        # What a neighbour's value moves the eliminated state by.
+        self._by_before, self._by_after = self._inverse @ before, self._inverse[:last] @ after
+        even = diagonal[::2].copy()
+        even[: len(before)] -= before.transpose(0, 2, 1) @ self._by_before
+        even[1 : last + 1] -= after.transpose(0, 2, 1) @ self._by_after
+        # Rounding must not make them uneven.
+        even = 0.5 * (even + even.transpose(0, 2, 1))
+        self._rest = Reduced(even, -(before[:last].transpose(0, 2, 1) @ self._by_after))
+        self.log_determinant += self._rest.log_determinant
 
     def solve(self, right: FloatArray) -> FloatArray:
         """Solve for right hand sides (K, n, C)."""
-        kept = []
-        for one in self._rounds:
-            kept.append(right[1::2])
-            right = one.forward(right)
-        found = self._last @ right
-        for one, odd in zip(reversed(self._rounds), reversed(kept), strict=True):
-            found = one.backward(found, odd)
-        return found
-
-
-class _Round:
-    """Eliminate every other state, those of odd number.
-
-    `inverse` is that of their blocks (M, n, n); `before` and `after` join them to their neighbours, (M, n, n)
-    and (M or M - 1, n, n): the last may have none after it.
-    """
-
-    def __init__(self, inverse: FloatArray, before: FloatArray, after: FloatArray) -> None:
-        self.inverse = inverse
-        self._before, self._after = before, after
-        # What a neighbour's value moves the eliminated state by.
-        self._by_before, self._by_after = inverse @ before, inverse[: len(after)] @ after
-
-    def left_of(self, even: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the diagonal and what stands beside it without the odd states, from that of even ones."""
-        last = len(self._after)
-        diagonal = even.copy()
-        diagonal[: len(self._before)] -= self._before.transpose(0, 2, 1) @ self._by_before
-        diagonal[1 : last + 1] -= self._after.transpose(0, 2, 1) @ self._by_after
-        # Rounding must not make them uneven.
-        diagonal = 0.5 * (diagonal + diagonal.transpose(0, 2, 1))
-        return diagonal, -(self._before[:last].transpose(0, 2, 1) @ self._by_after)
-
-    def forward(self, right: FloatArray) -> FloatArray:
-        """Return the right hand sides of the even states."""
-        odd, even = right[1::2], right[::2].copy()
+        if self._rest is None:
+            return np.asarray(self._inverse @ right)
+        odd, even, last = right[1::2], right[::2].copy(), len(self._by_after)
         even[: len(odd)] -= self._by_before.transpose(0, 2, 1) @ odd
-        even[1 : len(self._after) + 1] -= self._by_after.transpose(0, 2, 1) @ odd[: len(self._after)]
-        return even
-
-    def backward(self, even: FloatArray, odd: FloatArray) -> FloatArray:
-        """Return all states from the even ones and the odd ones' right hand sides."""
-        out = np.empty((len(even) + len(odd), *even.shape[1:]))
-        found = self.inverse @ odd - self._by_before @ even[: len(odd)]
-        found[: len(self._after)] -= self._by_after @ even[1 : len(self._after) + 1]
-        out[::2], out[1::2] = even, found
+        even[1 : last + 1] -= self._by_after.transpose(0, 2, 1) @ odd[:last]
+        even = self._rest.solve(even)
+        out = np.empty_like(right, dtype=np.float64)
+        out[::2], out[1::2] = even, self._inverse @ odd - self._by_before @ even[: len(odd)]
+        out[1 : 2 * last : 2] -= self._by_after @ even[1 : last + 1]
         return out
 
 

@@ -15,21 +15,9 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray, euler_to_matrix, rotvec_to_matrix
 from mavcompass.gap.attitude.chain import Solved
-from mavcompass.gap.attitude.kinematics import (
-    integrated,
-    interpolated,
-    with_down,
-)
+from mavcompass.gap.attitude.kinematics import integrated, interpolated, with_down
 from mavcompass.gap.attitude.sensors import Bias, Velocity, triangle_means
-from mavcompass.gap.attitude.smoother import (
-    ACC,
-    BIAS,
-    PHI,
-    SCALE,
-    Sensed,
-    Smoother,
-    Witness,
-)
+from mavcompass.gap.attitude.smoother import ACC, BIAS, PHI, SCALE, Sensed, Smoother, Witness
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.effect import Detector
 from mavcompass.track import Track, uncut

@@ -24,13 +24,7 @@ from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray, matrix_to_rotvec, rotvec_to_matrix
 from mavcompass.gap.attitude.chain import Chain, Solved, knots_of, silences
-from mavcompass.gap.attitude.kinematics import (
-    carried,
-    cross_matrices,
-    integral,
-    integrated,
-    interpolated,
-)
+from mavcompass.gap.attitude.kinematics import carried, cross_matrices, integral, integrated, interpolated
 from mavcompass.gap.attitude.sensors import MEDIAN_OF_SQUARES, Bias, Velocity, white_floor
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.sampling import first_order_lag

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from string import Template
 from xml.sax.saxutils import escape
@@ -49,10 +49,8 @@ def preset(found: Found) -> Exported:
 
 def px4_sitl(found: Found) -> Exported:
     """Write a parameter file in the form of PX4's ground stations: system, component, name, value, type."""
-    offset, lacking, left_out = found.offset_alone(_PX4)
+    offset, lacking, left_out = found.offset_alone(_PX4, held=())
     parameters = {f"SIM_MAG_OFFSET_{axis}": float(offset[i]) / 1000.0 for i, axis in enumerate("XYZ")}
-    lost, gone = found.lost(_PX4, lambda setting: None)
-    lacking, left_out = lacking + lost, left_out + gone
     lines = commented("#", found.headed(_PX4))
     lines += commented("# not in the simulator:", lacking)
     lines += [f"1\t1\t{name}\t{value:.9g}\t9" for name, value in parameters.items()]
@@ -62,11 +60,9 @@ def px4_sitl(found: Found) -> Exported:
 
 def gazebo(found: Found) -> Exported:
     """Write the <sensor> of a model; noise and steps are those that were found beside the simulator's."""
-    offset, lacking, left_out = found.offset_alone(_GAZEBO)
+    held = ("noise_excess", "quantisation", "bias_random_walk")
+    offset, lacking, left_out = found.offset_alone(_GAZEBO, held)
     values = {s.effect.id: s.values for s in found.settings}
-    held = {"noise_excess", "quantisation", "bias_random_walk"}
-    lost, gone = found.lost(_GAZEBO, lambda setting: setting.effect.id in held)
-    lacking, left_out = lacking + lost, left_out + gone
     scatter = _TESLA * values.get("noise_excess", {}).get("sigma_mgauss", 0.0)
     step = _TESLA * values.get("quantisation", {}).get("step_mgauss", 0.0)
     walk = values.get("bias_random_walk", {}).get("sigma_mgauss_per_sqrt_s", 0.0)
@@ -103,62 +99,47 @@ _FIRST_MOTOR = 33
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Affine:
-    """Hold what the simulator makes of a field: raw = P field + b, and the turn (rad) that it leaves out."""
+class InArduPilot:
+    """Hold what the simulator makes of a vehicle: raw = P field + b by its parameters, and what it lacks."""
 
     stretch: FloatArray
     offset_mgauss: FloatArray
-    left_out_rad: float
-
-    def parameters(self) -> dict[str, float]:
-        """Return its parameters.
-
-        Elements of the matrix come all together: the firmware ignores one of which only some are set.
-        """
-        cure = np.linalg.inv(self.stretch)
-        out = {f"SIM_MAG1_OFS_{axis}": float(-self.offset_mgauss[i]) for i, axis in enumerate(_AXES)}
-        out |= {f"SIM_MAG1_DIA_{axis}": float(cure[i, i]) for i, axis in enumerate(_AXES)}
-        places = zip(_AXES, ((0, 1), (0, 2), (1, 2)), strict=True)
-        return out | {f"SIM_MAG1_ODI_{axis}": float(cure[i, j]) for axis, (i, j) in places}
-
-    @property
-    def left_out(self) -> list[str]:
-        """List the effects that the simulator does not have of it."""
-        return ["misalignment"] if self.left_out_rad > usual.export.worth_saying_rad else []
-
-    def lacking(self) -> list[str]:
-        """Say what of it the simulator does not have."""
-        if not self.left_out:
-            return []
-        return [
-            f"A rotation of the compass by {math.degrees(self.left_out_rad):.2f} degrees: the simulator turns"
-            " its compass only in steps (SIM_MAG1_ORIENT)."
-        ]
+    parameters: dict[str, float]
+    lacking: tuple[str, ...]
+    left_out: tuple[str, ...]
 
 
-def affine_of(found: Found) -> tuple[Affine, dict[str, float]]:
-    """Compose all affine effects; return also the parameters of the simulator."""
+def in_ardupilot(found: Found, written: Collection[str] = ()) -> InArduPilot:
+    """Compose all affine effects for the simulator, beside whose parameters others may be `written`."""
     affine = [s for s in found.settings if s.effect.affine]
     matrix, offset = affine_map(affine)
     u, sizes, vt = np.linalg.svd(matrix)
-    angle = math.acos(float(np.clip((np.trace(u @ vt) - 1.0) / 2.0, -1.0, 1.0)))
-    composed = Affine(u @ np.diag(sizes) @ u.T, offset, angle)
-    parameters = composed.parameters() if affine else {}
+    turn_rad = math.acos(float(np.clip((np.trace(u @ vt) - 1.0) / 2.0, -1.0, 1.0)))
+    stretch, parameters = u @ np.diag(sizes) @ u.T, dict[str, float]()
+    if affine:
+        # Elements of the matrix come all together: the firmware ignores one of which only some are set.
+        cure, places = np.linalg.inv(stretch), ((0, 1), (0, 2), (1, 2))
+        parameters = {f"SIM_MAG1_OFS_{axis}": float(-offset[i]) for i, axis in enumerate(_AXES)}
+        parameters |= {f"SIM_MAG1_DIA_{axis}": float(cure[i, i]) for i, axis in enumerate(_AXES)}
+        parameters |= {f"SIM_MAG1_ODI_{a}": float(cure[ij]) for a, ij in zip(_AXES, places, strict=True)}
     for setting in found.settings:
         parameters |= setting.effect.sitl(setting.values) if setting.effect.sitl is not None else {}
-    return composed, parameters
+    lost, gone = found.lost(SIMULATOR, lambda s: s.effect.sitl or s.effect.id in written)
+    lacking = [*found.of_the_place(SIMULATOR), *lost]
+    if turn_rad > usual.export.worth_saying_rad:
+        turned = f"A rotation of the compass by {math.degrees(turn_rad):.2f} degrees"
+        lacking.insert(0, f"{turned}: the simulator turns its compass only in steps (SIM_MAG1_ORIENT).")
+        gone.insert(0, "misalignment")
+    return InArduPilot(stretch, offset, parameters, tuple(lacking), tuple(gone))
 
 
 def ardupilot_sitl(found: Found) -> Exported:
     """Write a parameter file that ArduPilot's simulator and ground stations load."""
-    affine, parameters = affine_of(found)
-    lost, gone = found.lost(SIMULATOR, lambda setting: setting.effect.sitl)
-    lacking = [*affine.lacking(), *found.of_the_place(SIMULATOR), *lost]
-    lines = commented("#", found.headed(SIMULATOR))
-    lines += commented("# not in the simulator:", lacking)
-    lines += [f"{name},{value:.6g}" for name, value in parameters.items()]
+    held = in_ardupilot(found)
+    lines = commented("#", found.headed(SIMULATOR)) + commented("# not in the simulator:", held.lacking)
+    lines += [f"{name},{value:.6g}" for name, value in held.parameters.items()]
     use = "sim_vehicle.py --add-param-file=FILE"
-    return Exported("\n".join(lines) + "\n", use, parameters, tuple(lacking), (*affine.left_out, *gone))
+    return Exported("\n".join(lines) + "\n", use, held.parameters, held.lacking, held.left_out)
 
 
 _FRAME = Template("""\
@@ -289,19 +270,17 @@ def _written(setting: Setting) -> str | None:
 
 def ardupilot_lua(found: Found) -> Exported:
     """Write a Lua script for the simulator's scripts folder."""
-    affine, parameters = affine_of(found)
     texts = {s.effect.id: text for s in found.settings if (text := _written(s)) is not None}
     effects = [f"  function(b) -- {effect}\n    {text}\n  end," for effect, text in texts.items()]
-    lost, gone = found.lost(SIMULATOR, lambda s: s.effect.sitl or s.effect.id in texts)
-    lacking = [*affine.lacking(), *found.of_the_place(SIMULATOR), *lost]
+    held = in_ardupilot(found, texts)
     head = [*found.headed(SIMULATOR), "Put it into scripts/, with SCR_ENABLE 1 in the parameters."]
-    head += [f"Not in the simulator: {s}" for s in lacking]
+    head += [f"Not in the simulator: {s}" for s in held.lacking]
     text = _FRAME.substitute(
         head="\n".join(commented("--", head)),
-        parameters="\n".join(f"  {n} = {v:.6g}," for n, v in parameters.items() if "_OFS_" not in n),
-        matrix=", ".join("{ " + ", ".join(f"{x:.6g}" for x in row) + " }" for row in affine.stretch.tolist()),
-        offset=", ".join(f"{x:.6g}" for x in affine.offset_mgauss.tolist()),
+        parameters="\n".join(f"  {n} = {v:.6g}," for n, v in held.parameters.items() if "_OFS_" not in n),
+        matrix=", ".join("{ " + ", ".join(f"{x:.6g}" for x in row) + " }" for row in held.stretch.tolist()),
+        offset=", ".join(f"{x:.6g}" for x in held.offset_mgauss.tolist()),
         effects="\n".join(effects),
     )
     use = "cp FILE scripts/ beside the simulator, and start it with SCR_ENABLE 1"
-    return Exported(text, use, parameters, tuple(lacking), (*affine.left_out, *gone))
+    return Exported(text, use, held.parameters, held.lacking, held.left_out)

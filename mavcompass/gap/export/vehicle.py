@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -180,14 +180,21 @@ class Found:
             return []
         return [f"The field of the place, {self.place_mgauss:.1f} mG. {simulator} has the world model's."]
 
-    def offset_alone(self, simulator: str) -> tuple[FloatArray, list[str], list[str]]:
-        """Return the offset (3,) in mG for a simulator that has no matrix, what that leaves out, and its
-        effects."""
+    def offset_alone(self, simulator: str, held: Collection[str]) -> tuple[FloatArray, list[str], list[str]]:
+        """Return the offset (3,) in mG for a simulator that has no matrix, what it lacks, and those effects.
+
+        Beside the offset it has the effects that it holds.
+        """
+        lost, gone = self.lost(simulator, lambda setting: setting.effect.id in held)
         matrix, offset = affine_map([s for s in self.settings if s.effect.affine])
         if np.abs(matrix - np.eye(3)).max() <= usual.export.matrix:
-            return offset, [], []
+            return offset, lost, gone
         bent = [s.effect.id for s in self.settings if s.effect.affine and s.effect.id != "hard_iron"]
-        return offset, [f"Gains, oblique axes and turns of the compass: {simulator} has none."], bent
+        return (
+            offset,
+            [f"Gains, oblique axes and turns of the compass: {simulator} has none.", *lost],
+            bent + gone,
+        )
 
     def promised(self, exported: Exported) -> float:
         """Return by how much the gap closes with those effects alone that an export holds."""

@@ -219,25 +219,13 @@ class Search:
         return best
 
     def _turned(self, null: Fit, best: Fit, turns: Sequence[Fit]) -> list[Fit]:
-        """Choose of fitted `turns` of the compass those that explain most of what there is to explain.
-
-        Where the best set leaves much, what it has that is no map of the field may hide a turn: one is tried
-        beside that, too.
-        """
+        """Choose of fitted `turns` of the compass those that explain most of what there is to explain."""
         out = [
             f
             for f in turns
             if null.sse - f.sse > 0.5 * (null.sse - best.sse)
             and self.criteria.score(f) < self.criteria.score(null)
         ]
-        beside = best
-        for place in reversed(range(len(best.terms))):
-            beside = beside.without(place) if best.terms[place].effect.affine else beside
-        noise = 3 * len(self.problem.groups) * self.problem.count
-        if not out and beside.terms and best.sse > usual.search.unexplained * noise:
-            means = tuple(n.mean for n in self.problem.nuisances)
-            fits = facing(self.problem, self.terms, replace(beside, nuisance_thetas=means), null.sse)
-            out = [fit for fit in fits if fit.sse < best.sse]
         self._remember(out)
         return sorted(out, key=lambda f: f.sse)[:2]
 

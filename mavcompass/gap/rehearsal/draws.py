@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,8 +28,10 @@ IRON_NAMES = (
 _GAINS = ((0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2))
 _STEP = 1e-4
 MOST_POSITIONS = 10
-# What the recording leaves open of the motors' field, beside what the calibration in force says of it.
-MOTORS = "motors"
+# Sources of error beside the effects; of motors what the recording leaves open of their field, beside
+# what the calibration in force says of it.
+NOISE, QUANTISATION, TILT, GYRO, FIELD, MOTORS = "noise", "quantisation", "tilt", "gyro", "field", "motors"
+SOURCES = (NOISE, QUANTISATION, TILT, GYRO, FIELD, MOTORS)
 # The horizontal cross term of the iron, and the vertical ones.
 _CROSS = (((0, 1),), ((0, 2), (1, 2)))
 # What scatters single readings or their times is in the vehicle's stances.
@@ -94,38 +96,37 @@ class Individual:
 
     Attributes:
         field_ned_mgauss: the field where it is calibrated and used, (3,).
-        iron: its own. known_motor_mgauss: the motors' field as its calibration in force has it.
-        settings: its effects.
+        iron: its own. settings: its effects.
         heading_rad: where it begins; turned_off_rad: how far each position is from where it should be, (K,).
         stance: which stance each position is, (K,); used: which of the recording's readings it is used in.
-        noise, quantisation, tilt, step: unit normals for each position, (K, 3), (K, 3), (K, 2), (K,).
-        gyro_scale, gyro_bias: unit normals. leaning: of the accelerometer's own error, roll and pitch, (2,).
+        chances: unit normals by source: of noise and quantisation at each position, (K, 3); of roll and pitch
+            there, and at last of the accelerometer's own error, (K + 1, 2); of the steps of the gyro, its
+            scale and its bias, (K + 2,).
     """
 
     field_ned_mgauss: FloatArray
     iron: Iron
-    known_motor_mgauss: FloatArray
     settings: tuple[Setting, ...]
     heading_rad: float
     turned_off_rad: FloatArray
     stance: NDArray[np.int64]
     used: int
-    noise: FloatArray
-    quantisation: FloatArray
-    tilt: FloatArray
-    step: FloatArray
-    gyro_scale: float
-    gyro_bias: float
-    leaning: FloatArray
+    chances: Mapping[str, FloatArray]
 
-    def chain(self, without: Collection[str], load: FloatArray) -> Distortion:
-        """Return what its sensors make of the field: iron, motors and effects but those named.
+    def without(self, names: Collection[str], kind: Kind) -> Individual:
+        """Return it without some of its effects and of the sources of error."""
+        spared = replace(self.iron, motor_mgauss=kind.iron.motor_mgauss)
+        return replace(
+            self,
+            field_ned_mgauss=kind.field_ned_mgauss if FIELD in names else self.field_ned_mgauss,
+            iron=spared if MOTORS in names else self.iron,
+            settings=tuple(s for s in self.settings if s.effect.id not in names),
+            chances={name: values * (name not in names) for name, values in self.chances.items()},
+        )
 
-        `load` (N,) is what the motors' field goes with.
-        """
-        acting = [s for s in self.settings if s.effect.id not in without]
-        known = replace(self.iron, motor_mgauss=self.known_motor_mgauss)
-        return Distortion([*iron_settings(known if MOTORS in without else self.iron, load), *acting])
+    def chain(self, load: FloatArray) -> Distortion:
+        """Return what its sensors make of the field; `load` (N,) is what the motors' field goes with."""
+        return Distortion([*iron_settings(self.iron, load), *self.settings])
 
 
 class Draws:
@@ -156,23 +157,16 @@ class Draws:
             if rng.random() >= probability:
                 for i, j in places:
                     matrix[i, j] = matrix[j, i] = 0.0
+        acting = [s for s in effects_in(belief, values) if s.effect.kind in _ACTING]
         return Individual(
             field_ned_mgauss=kind.field_ned_mgauss + values[:3],
             iron=replace(iron, matrix=matrix),
-            known_motor_mgauss=kind.iron.motor_mgauss,
-            settings=tuple(s for s in effects_in(belief, values) if s.effect.kind in _ACTING)
-            + tuple(self._faults(rng)),
+            settings=(*acting, *self._faults(rng)),
             heading_rad=float(rng.uniform(-math.pi, math.pi)),
             turned_off_rad=usual.stance.turn_rad * rng.standard_normal(k),
             stance=rng.integers(len(kind.stances), size=k),
             used=int(rng.integers(kind.used.time_s.size)),
-            noise=rng.standard_normal((k, 3)),
-            quantisation=rng.standard_normal((k, 3)),
-            tilt=rng.standard_normal((k, 2)),
-            step=rng.standard_normal(k),
-            gyro_scale=float(rng.standard_normal()),
-            gyro_bias=float(rng.standard_normal()),
-            leaning=rng.standard_normal(2),
+            chances=_chances(rng, k),
         )
 
     def _faults(self, rng: np.random.Generator) -> list[Setting]:
@@ -186,6 +180,13 @@ class Draws:
                 theta[i] = fault.parameters.get(name, theta[i]) + spread
             out.append(Setting(effect, np.clip(theta, effect.lower, effect.upper)))
         return out
+
+
+def _chances(rng: np.random.Generator, count: int) -> dict[str, FloatArray]:
+    noise, quantisation, tilt = (rng.standard_normal((count, width)) for width in (3, 3, 2))
+    gyro = rng.standard_normal(count + 2)
+    tilt = np.vstack([tilt, rng.standard_normal((1, 2))])
+    return {NOISE: noise, QUANTISATION: quantisation, TILT: tilt, GYRO: gyro}
 
 
 def _crossed(kind: Kind, belief: Belief) -> list[float]:

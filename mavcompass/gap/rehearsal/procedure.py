@@ -11,7 +11,6 @@ How wrong the heading then is, where and as the vehicle is used: level, and lean
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,16 +21,16 @@ from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD
 from mavcompass.calibration.positions import FourPositionsResult, solve_four_positions
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate, wrap_pi
-from mavcompass.gap.rehearsal.draws import Individual
+from mavcompass.gap.rehearsal.draws import GYRO, NOISE, QUANTISATION, TILT, Individual
 from mavcompass.gap.rehearsal.kind import Kind, rows_of
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.effect import Signals
 from mavcompass.simulation.physics.signals import Stimulus, ideal
 
-NOISE, QUANTISATION, TILT, GYRO, FIELD = "noise", "quantisation", "tilt", "gyro", "field"
 _HZ, _DWELL_ROWS = 10.0, 13
 _STEP_ROWS = round(usual.rehearsal.step_s * _HZ)
 _HEADINGS, _LEANINGS = 12, 8
+_OF_A_MOMENT = ("position_ned_m", "current_a", "throttle", "temperature_degc", "motors")
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,22 +54,15 @@ class Protocol:
 USUAL = Protocol()
 
 
-def calibrate(
-    kind: Kind, individual: Individual, protocol: Protocol = USUAL, without: Collection[str] = ()
-) -> FourPositionsResult:
-    """Calibrate one vehicle; `without` takes effects and sources of error out.
-
-    Raises PoorCalibration where the fit refuses.
-    """
+def calibrate(kind: Kind, individual: Individual, protocol: Protocol = USUAL) -> FourPositionsResult:
+    """Calibrate one vehicle. Raises PoorCalibration where the fit refuses."""
     in_force = corrected_in_force(kind, protocol)
-    data = observed(kind, individual, protocol, in_force, without)
-    fit = solve_four_positions(data, in_force, kind.earth)
+    fit = solve_four_positions(observed(kind, individual, protocol, in_force), in_force, kind.earth)
     if _is_sure(fit) or protocol.leaning_rad:
         return fit
-    most = observed(
-        kind, individual, replace(protocol, positions=usual.rehearsal.most_positions), in_force, without
-    )
-    for count in range(protocol.positions + 1, usual.rehearsal.most_positions + 1):
+    more = replace(protocol, positions=usual.rehearsal.most_positions)
+    most = observed(kind, individual, more, in_force)
+    for count in range(protocol.positions + 1, more.positions + 1):
         data = replace(most, dwells=most.dwells[:count], steps=most.steps[: count - 1])
         fit = solve_four_positions(data, in_force, kind.earth)
         if _is_sure(fit):
@@ -97,62 +89,48 @@ def loads(stimulus: Stimulus, correction: FieldCorrection) -> FloatArray:
 
 
 def observed(
-    kind: Kind,
-    individual: Individual,
-    protocol: Protocol,
-    in_force: FieldCorrection,
-    without: Collection[str],
+    kind: Kind, individual: Individual, protocol: Protocol, in_force: FieldCorrection
 ) -> FourPositionData:
     """Let a vehicle visit its positions; return them as the calibration observes them."""
     count = protocol.positions + len(protocol.leaning_rad)
-    stimulus = _motion(kind, individual, protocol, count, without)
-    chain = individual.chain(without, loads(stimulus, kind.iron.correction))
+    stimulus = _motion(kind, individual, protocol, count)
+    chain = individual.chain(loads(stimulus, kind.iron.correction))
     said = chain.run(Signals(stimulus, ideal(stimulus)), None).reading
     # The compensation in force stays in what a calibration sees.
     compensated = np.linalg.solve(in_force.matrix, in_force.motor_field(loads(stimulus, in_force)).T).T
     vertical = np.einsum("ij,ij->i", stimulus.rotation[:, 2, :], said.gyro_radps)
-    bias = individual.gyro_bias * kind.gyro_bias_sigma_radps * (GYRO not in without)
-    scale = 1.0 + individual.gyro_scale * kind.gyro_scale_sigma * (GYRO not in without)
+    *steps_off, scale, bias = individual.chances[GYRO].tolist()
     turned = np.concatenate([[0.0], np.cumsum(0.5 * (vertical[1:] + vertical[:-1])) / _HZ])
     dwells, middles = [], []
     for k in range(count):
-        rows = _rows(k)
+        rows = slice(k * _STEP_ROWS, k * _STEP_ROWS + _DWELL_ROWS)
         field = (said.mag_mgauss + compensated)[rows].mean(axis=0)
-        force = said.acc_mps2[rows].mean(axis=0)
-        current = float(stimulus.current_a[rows].mean())
-        dwells.append(_dwell(kind, individual, k, field, force, current, without))
+        force, current = said.acc_mps2[rows].mean(axis=0), float(stimulus.current_a[rows].mean())
+        dwells.append(_dwell(kind, individual, k, field, force, current))
         middles.append(float(turned[rows].mean()))
     steps = []
     for k, turn in enumerate(np.diff(middles).tolist()):
         sigma = math.hypot(kind.step_sigma_rad, dwells[k].turned_sigma_rad, dwells[k + 1].turned_sigma_rad)
-        error = sigma * float(individual.step[k]) * (GYRO not in without)
-        steps.append(
-            Step(scale * turn + bias * usual.rehearsal.step_s + error, sigma, usual.rehearsal.step_s)
-        )
+        drifted = bias * kind.gyro_bias_sigma_radps * usual.rehearsal.step_s + sigma * steps_off[k]
+        told = (1.0 + scale * kind.gyro_scale_sigma) * turn + drifted
+        steps.append(Step(told, sigma, usual.rehearsal.step_s))
     return FourPositionData(
         tuple(dwells), tuple(steps), kind.gyro_scale_sigma, kind.gyro_bias_sigma_radps, TILT_BIAS_SIGMA_RAD
     )
 
 
 def _dwell(
-    kind: Kind,
-    individual: Individual,
-    k: int,
-    field_mgauss: FloatArray,
-    force_mps2: FloatArray,
-    current_a: float,
-    without: Collection[str],
+    kind: Kind, individual: Individual, k: int, field_mgauss: FloatArray, force: FloatArray, current_a: float
 ) -> Dwell:
     """Observe one position with the errors of one of the vehicle's stances."""
-    stance = kind.stances[individual.stance[k]]
-    noise = np.linalg.cholesky(stance.covariance_mgauss2 + 1e-9 * np.eye(3)) @ individual.noise[k]
-    whole = np.linalg.cholesky(stance.quantisation_mgauss2 + 1e-9 * np.eye(3)) @ individual.quantisation[k]
-    tilt = stance.tilt_sigma_rad * individual.tilt[k] + TILT_BIAS_SIGMA_RAD * individual.leaning
-    tilt = tilt * (TILT not in without)
-    x, y, z = force_mps2.tolist()
+    stance, chances = kind.stances[individual.stance[k]], individual.chances
+    noise = np.linalg.cholesky(stance.covariance_mgauss2 + 1e-9 * np.eye(3)) @ chances[NOISE][k]
+    whole = np.linalg.cholesky(stance.quantisation_mgauss2 + 1e-9 * np.eye(3)) @ chances[QUANTISATION][k]
+    tilt = stance.tilt_sigma_rad * chances[TILT][k] + TILT_BIAS_SIGMA_RAD * chances[TILT][-1]
+    x, y, z = force.tolist()
     return replace(
         stance,
-        mean_mgauss=field_mgauss + noise * (NOISE not in without) + whole * (QUANTISATION not in without),
+        mean_mgauss=field_mgauss + noise + whole,
         roll_rad=math.atan2(-y, -z) + float(tilt[0]),
         pitch_rad=math.atan2(x, math.hypot(y, z)) + float(tilt[1]),
         swing=np.eye(3),
@@ -161,13 +139,7 @@ def _dwell(
     )
 
 
-def _rows(k: int) -> slice:
-    return slice(k * _STEP_ROWS, k * _STEP_ROWS + _DWELL_ROWS)
-
-
-def _motion(
-    kind: Kind, individual: Individual, protocol: Protocol, count: int, without: Collection[str]
-) -> Stimulus:
+def _motion(kind: Kind, individual: Individual, protocol: Protocol, count: int) -> Stimulus:
     """Stand, turn by a profile of least jerk, stand again: rows at 10 Hz."""
     n = (count - 1) * _STEP_ROWS + _DWELL_ROWS
     level = protocol.positions
@@ -197,7 +169,7 @@ def _motion(
     return Stimulus.posed(
         start_s + np.arange(n) / _HZ,
         rotation,
-        _field(kind, individual, without),
+        individual.field_ned_mgauss,
         rate_radps=turning,
         position_ned_m=kind.still.position_ned_m[at] + np.array(protocol.away_m),
         current_a=kind.still.current_a[at] * load,
@@ -205,10 +177,6 @@ def _motion(
         temperature_degc=kind.still.temperature_degc[at],
         motors=kind.still.motors[at] * load,
     )
-
-
-def _field(kind: Kind, individual: Individual, without: Collection[str]) -> FloatArray:
-    return kind.field_ned_mgauss if FIELD in without else individual.field_ned_mgauss
 
 
 def _attitudes() -> tuple[FloatArray, FloatArray]:
@@ -227,31 +195,26 @@ _LEVELLING = euler_to_matrix(_TILT[:, 0], _TILT[:, 1], 0.0)
 
 
 def heading_errors_deg(
-    kind: Kind, individual: Individual, correction: FieldCorrection, without: Collection[str] = ()
+    kind: Kind, individual: Individual, correction: FieldCorrection
 ) -> tuple[float, float]:
     """Return the rms heading error over the circle, level and at 15 degrees of tilt in all directions.
 
     The reading is free of noise, tilt and declination are known exactly; load, temperature and place are
     those of a moment of the recording.
     """
-    n = _YAW.size * usual.rehearsal.readings
-    field = _field(kind, individual, without)
+    each, field = usual.rehearsal.readings, individual.field_ned_mgauss
+    n = _YAW.size * each
     moment = rows_of(kind.used, np.full(n, individual.used))
-    stimulus = replace(
-        Stimulus.posed(
-            kind.used.time_s[-1] + usual.rehearsal.much_later_s + usual.rehearsal.held_s * np.arange(n),
-            np.repeat(_ROTATION, usual.rehearsal.readings, axis=0),
-            field,
-        ),
-        position_ned_m=moment.position_ned_m,
-        **{load: getattr(moment, load) for load in ("current_a", "throttle", "temperature_degc", "motors")},
+    stimulus = Stimulus.posed(
+        kind.used.time_s[-1] + usual.rehearsal.much_later_s + usual.rehearsal.held_s * np.arange(n),
+        np.repeat(_ROTATION, each, axis=0),
+        field,
+        **{name: getattr(moment, name) for name in _OF_A_MOMENT},
     )
-    chain = individual.chain(without, loads(stimulus, kind.iron.correction))
-    raw = chain.run(Signals(stimulus, ideal(stimulus)), None).reading.mag_mgauss[
-        usual.rehearsal.readings - 1 :: usual.rehearsal.readings
-    ]
-    load = loads(stimulus, correction)[usual.rehearsal.readings - 1 :: usual.rehearsal.readings]
-    level = rotate(_LEVELLING, correction.apply(raw, None if correction.motor_source == "none" else load))
+    chain = individual.chain(loads(stimulus, kind.iron.correction))
+    raw = chain.run(Signals(stimulus, ideal(stimulus)), None).reading.mag_mgauss[each - 1 :: each]
+    load = None if correction.motor_source == "none" else loads(stimulus, correction)[each - 1 :: each]
+    level = rotate(_LEVELLING, correction.apply(raw, load))
     declination = math.atan2(field[1], field[0])
     error = wrap_pi(np.arctan2(-level[:, 1], level[:, 0]) + declination - _YAW)
     square = np.degrees(error) ** 2

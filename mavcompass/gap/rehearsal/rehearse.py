@@ -18,30 +18,20 @@ from mavcompass.blas import single_thread
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude.reference import Choice
-from mavcompass.gap.rehearsal.draws import MOTORS, Draws
+from mavcompass.gap.rehearsal.draws import SOURCES, Draws
 from mavcompass.gap.rehearsal.kind import Kind, Stored, kind_of
-from mavcompass.gap.rehearsal.procedure import (
-    FIELD,
-    GYRO,
-    NOISE,
-    QUANTISATION,
-    TILT,
-    USUAL,
-    Protocol,
-    calibrate,
-    heading_errors_deg,
-)
+from mavcompass.gap.rehearsal.procedure import USUAL, Protocol, calibrate, heading_errors_deg
 from mavcompass.gap.result import MOTOR, Diagnosis, plain
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects import get
 from mavcompass.simulation.effects.effect import PLACED
 from mavcompass.track import Track
 
-SOURCES = (NOISE, QUANTISATION, TILT, GYRO, FIELD, MOTORS)
 _LOADS = frozenset({"current", "motors", "throttle|current|motors"})
 SCHEMA = "mavcompass.gap-rehearsal/1"
 _AS_THEY_ARE = (
-    "draws", "compared", "refused", "positions", "claimed_deg", "stances", "seed", "notes", "seconds",
+    "compass", "effects", "heading_error_deg", "remedies", "draws", "compared", "refused", "positions",
+    "claimed_deg", "stances", "seed", "notes", "seconds",
 )  # fmt: skip
 
 
@@ -49,12 +39,12 @@ _AS_THEY_ARE = (
 class Expected:
     """Hold the rms heading error over the circle to expect, degrees.
 
-    `rms_deg` is over all vehicles drawn; 95 of 100 of them stay below `at_most95_deg`.
+    `rms` is over all vehicles drawn; 95 of 100 of them stay within `interval95`.
     """
 
-    rms_deg: float
-    median_deg: float
-    at_most95_deg: float
+    rms: float
+    median: float
+    interval95: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,18 +52,18 @@ class Errors:
     """Hold the heading error to expect on the level, and leaning by 15 degrees in any direction."""
 
     level: Expected
-    tilted: Expected
+    tilt_15: Expected
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Hold what makes a part of the error: an effect, or a source of it, and the error without.
+    """Hold what makes a part of the error, an "effect" or a "source" of it, and the error without.
 
     `share` is the part of the level error's square that goes with it, `share_tilted` of the tilted one's.
     """
 
     name: str
-    is_effect: bool
+    kind: str
     without: Errors
     share: float
     share_tilted: float
@@ -86,8 +76,8 @@ class Remedy:
     `change` and `change_tilted` are ratios of rms errors, of the same vehicles: 0.5 halves it.
     """
 
-    words: str
-    errors: Errors
+    what: str
+    heading_error_deg: Errors
     change: float
     change_tilted: float
 
@@ -98,7 +88,7 @@ class Rehearsal:
 
     Attributes:
         source: the recording. compass: from 1. effects: what the vehicle may have.
-        errors: to expect after calibrating this vehicle by four positions, used as in the recording.
+        heading_error_deg: to expect after calibrating it by four positions, used as in the recording.
         parts: the budget, the largest first. remedies: what was tried, the best first.
         draws: how many vehicles; compared: how many of them for each part and remedy; refused: how many fits
             had no solution. positions: how many were visited, on the average.
@@ -109,7 +99,7 @@ class Rehearsal:
     source: str
     compass: int
     effects: tuple[str, ...]
-    errors: Errors
+    heading_error_deg: Errors
     parts: tuple[Part, ...]
     remedies: tuple[Remedy, ...]
     draws: int
@@ -132,41 +122,10 @@ class Rehearsal:
         return {
             "schema": SCHEMA,
             "log": self.source,
-            "compass": self.compass,
-            "effects": list(self.effects),
-            "heading_error_deg": _errors(self.errors),
-            "budget": [
-                {
-                    "name": part.name,
-                    "kind": "effect" if part.is_effect else "source",
-                    "share": part.share,
-                    "share_tilted": part.share_tilted,
-                    "without": _errors(part.without),
-                }
-                for part in self.parts
-            ],
+            "budget": plain(self.parts),
             "dominant": self.dominant.name if self.dominant is not None else None,
-            "remedies": [
-                {
-                    "what": remedy.words,
-                    "change": remedy.change,
-                    "change_tilted": remedy.change_tilted,
-                    "heading_error_deg": _errors(remedy.errors),
-                }
-                for remedy in self.remedies
-            ],
-        } | {name: plain(getattr(self, name)) for name in _AS_THEY_ARE}
-
-
-def _errors(errors: Errors) -> dict[str, object]:
-    return {
-        name: {
-            "rms": expected.rms_deg,
-            "median": expected.median_deg,
-            "interval95": [0.0, expected.at_most95_deg],
+            **{name: plain(getattr(self, name)) for name in _AS_THEY_ARE},
         }
-        for name, expected in (("level", errors.level), ("tilt_15", errors.tilted))
-    }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,13 +173,13 @@ def calibrations(
     out = np.full((count, 4), np.nan)
     refusal = None
     for number in range(count):
-        individual = draws[number]
+        individual = draws[number].without(without, kind)
         try:
-            fit = calibrate(kind, individual, protocol, without)
+            fit = calibrate(kind, individual, protocol)
         except PoorCalibration as why:
             refusal = why
         else:
-            level, tilted = heading_errors_deg(kind, individual, fit.correction, without)
+            level, tilted = heading_errors_deg(kind, individual, fit.correction)
             visited = len(fit.magnetic_headings_rad)
             out[number] = level, tilted, np.degrees(fit.heading_sigma_rad), visited
         done()
@@ -229,7 +188,7 @@ def calibrations(
 
 def _expected(errors_deg: FloatArray) -> Expected:
     rms_deg, median_deg = float(np.sqrt(np.mean(errors_deg**2))), float(np.median(errors_deg))
-    return Expected(rms_deg, median_deg, float(np.quantile(errors_deg, 0.95, method="higher")))
+    return Expected(rms_deg, median_deg, (0.0, float(np.quantile(errors_deg, 0.95, method="higher"))))
 
 
 def rehearse(
@@ -251,9 +210,9 @@ def rehearse(
         compared = min(
             draws, max(round(usual.rehearsal.compared_share * draws), usual.rehearsal.fewest_compared)
         )
-        names = [*SOURCES, *kind.effects]
+        sorts = dict.fromkeys(SOURCES, "source") | dict.fromkeys(kind.effects, "effect")
         protocols = list(_protocols(kind))
-        done, of = count(1), draws + compared * (len(names) + len(protocols))
+        done, of = count(1), draws + compared * (len(sorts) + len(protocols))
         vehicles = Draws(kind, seed)
 
         def run(of_them: int, protocol: Protocol = USUAL, without: Collection[str] = ()) -> Run:
@@ -263,10 +222,10 @@ def rehearse(
         if not np.isfinite(whole.errors_deg).any() and whole.refusal is not None:
             raise whole.refusal
         few, parts, remedies = whole.first(compared), list[Part](), list[Remedy]()
-        for name in names:
+        for name, sort in sorts.items():
             other = run(compared, without={name})
             level, tilted = other.change_from(few)
-            parts.append(Part(name, name in kind.effects, other.errors, 1.0 - level**2, 1.0 - tilted**2))
+            parts.append(Part(name, sort, other.errors, 1.0 - level**2, 1.0 - tilted**2))
         for words, protocol in protocols:
             other = run(compared, protocol)
             remedies.append(Remedy(words, other.errors, *other.change_from(few)))
@@ -274,7 +233,7 @@ def rehearse(
         source=track.source,
         compass=diagnosis.compass,
         effects=kind.effects,
-        errors=whole.errors,
+        heading_error_deg=whole.errors,
         parts=tuple(sorted(parts, key=lambda part: -part.share)),
         remedies=tuple(sorted(remedies, key=lambda remedy: remedy.change)),
         draws=draws,

@@ -17,11 +17,7 @@ from mavcompass.correction import IDENTITY
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, rotate, rotate_back, wrap_pi
 from mavcompass.gap.attitude.kinematics import averaged
-from mavcompass.gap.attitude.reference import (
-    Choice,
-    Reference,
-    reference_attitude,
-)
+from mavcompass.gap.attitude.reference import Choice, Reference, reference_attitude
 from mavcompass.gap.replay.integrity import Readings, Trace
 from mavcompass.gap.replay.noise import SensorNoise
 from mavcompass.gap.replay.nuisance import (

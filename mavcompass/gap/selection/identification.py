@@ -27,8 +27,15 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.hypothesis import Fit, Mask
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.search import Search, pruned, unbent
-from mavcompass.gap.left.floor import Floor, kind_of, measured_noise, widened
-from mavcompass.gap.left.scatter import Scatter, find_scatter, noise_with
+from mavcompass.gap.left.floor import (
+    Floor,
+    Scatter,
+    find_scatter,
+    kind_of,
+    measured_noise,
+    noise_with,
+    widened,
+)
 from mavcompass.gap.replay.noise import Noise
 from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.selection.split import (

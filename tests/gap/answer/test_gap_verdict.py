@@ -1,4 +1,4 @@
-"""What is said, by how probable the best set is and by two p values."""
+"""What is said, by how probable the best set is and by what is left."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import pytest
 
 from mavcompass.gap.answer.decision import Findings, verdict
 from mavcompass.gap.result import Verdict
-from mavcompass.gap.tables import Levels, Outcome
+from mavcompass.gap.tables import Outcome
 
-LEVELS = Levels(gain=0.01, fit=0.02, sure=0.9, above=1.3, held=0.9, coarsest_deg=15.0)
+SURE = 0.9
 NOTHING: dict[Outcome, float] = {"whole": 0.25, "part": 0.25, "other": 0.25, "unknown": 0.25}
-SILENT = Findings(False, False, True, 1.0, 0.5, NOTHING, shared=False, above=False, testable=True)
+SILENT = Findings(silent=True, left=False, outcomes=NOTHING, shared=False, testable=True)
 
 
 def likely(whole: float = 0.0, part: float = 0.0, other: float = 0.0) -> dict[Outcome, float]:
@@ -20,26 +20,16 @@ def likely(whole: float = 0.0, part: float = 0.0, other: float = 0.0) -> dict[Ou
 
 
 def found(outcomes: dict[Outcome, float]) -> Findings:
-    return replace(SILENT, found=True, searched=True, p_gain=0.001, outcomes=outcomes)
+    return replace(SILENT, silent=False, outcomes=outcomes)
 
 
 def test_where_nothing_is_found_silence_needs_what_healthy_vehicles_leave() -> None:
-    assert verdict(SILENT, LEVELS) == "no_gap"
-    assert verdict(replace(SILENT, p_fit=0.02), LEVELS) == "unknown"
-    assert verdict(replace(SILENT, above=True), LEVELS) == "unknown"
+    assert verdict(SILENT, SURE) == "no_gap"
+    assert verdict(replace(SILENT, left=True), SURE) == "unknown"
     still = replace(SILENT, testable=False)
-    assert verdict(still, LEVELS) == "not_testable"
-    assert verdict(replace(still, p_fit=0.001), LEVELS) == "unknown", "what varies is a gap all the same"
-
-
-def test_a_set_that_gains_what_healthy_vehicles_do_is_no_finding() -> None:
-    sure = found(likely(whole=0.95))
-    assert verdict(sure, LEVELS) == "named"
-    by_chance = replace(sure, p_gain=0.011)
-    assert verdict(by_chance, LEVELS) == "no_gap"
-    assert verdict(replace(sure, confirmed=False), LEVELS) == "no_gap"
-    # What single readings show is no set of a search.
-    assert verdict(replace(by_chance, searched=False), LEVELS) == "named"
+    assert verdict(still, SURE) == "not_testable"
+    assert verdict(replace(still, left=True), SURE) == "unknown", "what varies is a gap all the same"
+    assert verdict(found(likely(whole=0.95)), SURE) == "named"
 
 
 @pytest.mark.parametrize(
@@ -55,11 +45,11 @@ def test_a_set_that_gains_what_healthy_vehicles_do_is_no_finding() -> None:
     ],
 )
 def test_the_likeliest_of_four_outcomes_is_said(outcomes: dict[Outcome, float], said: Verdict) -> None:
-    assert verdict(found(outcomes), LEVELS) == said
+    assert verdict(found(outcomes), SURE) == said
 
 
 def test_what_the_catalogue_is_not_alone_to_make_is_not_sure() -> None:
-    assert verdict(replace(found(likely(whole=0.99)), shared=True), LEVELS) == "ambiguous"
+    assert verdict(replace(found(likely(whole=0.99)), shared=True), SURE) == "ambiguous"
 
 
 @pytest.mark.parametrize(
@@ -71,5 +61,4 @@ def test_what_the_catalogue_is_not_alone_to_make_is_not_sure() -> None:
     ],
 )
 def test_what_healthy_vehicles_do_not_leave_is_left(outcomes: dict[Outcome, float], said: Verdict) -> None:
-    assert verdict(replace(found(outcomes), above=True), LEVELS) == said
-    assert verdict(replace(found(outcomes), p_fit=0.02), LEVELS) == said
+    assert verdict(replace(found(outcomes), left=True), SURE) == said

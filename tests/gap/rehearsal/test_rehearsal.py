@@ -14,10 +14,10 @@ from mavcompass.cli.gap import command
 from mavcompass.errors import UsageError
 from mavcompass.gap import diagnose_gap
 from mavcompass.gap.rehearsal import Rehearsal, read_stored, rehearse
-from mavcompass.gap.rehearsal.draws import Draws
+from mavcompass.gap.rehearsal.draws import SOURCES, Draws
 from mavcompass.gap.rehearsal.kind import Kind, kind_of
 from mavcompass.gap.rehearsal.procedure import calibrate, heading_errors_deg
-from mavcompass.gap.rehearsal.rehearse import SOURCES, Run
+from mavcompass.gap.rehearsal.rehearse import Run
 from mavcompass.gap.result import Diagnosis
 from mavcompass.gap.trial.cases import Recipe, make_track
 from mavcompass.logs import read_track, write_track_csv
@@ -69,18 +69,20 @@ def test_without_any_error_the_calibration_is_exact(kind: Kind) -> None:
     nothing = {*SOURCES, "motor_current"}
     draws = Draws(kind, seed=5)
     for number in range(3):
-        drawn = draws[number]
+        drawn = draws[number].without(nothing, kind)
         vehicle = replace(drawn, iron=replace(drawn.iron, matrix=np.diag([1.04, 0.95, 1.0])))
-        fit = calibrate(kind, vehicle, without=nothing)
-        level, tilted = heading_errors_deg(kind, vehicle, fit.correction, nothing)
+        fit = calibrate(kind, vehicle)
+        level, tilted = heading_errors_deg(kind, vehicle, fit.correction)
         assert level < 0.03 and level <= tilted
         assert np.allclose(fit.raw_offset_mgauss[:2], vehicle.iron.offset_mgauss[:2], atol=0.2)
 
 
 def test_the_same_seed_draws_the_same_vehicles(kind: Kind) -> None:
     first, again, other = Draws(kind, 1)[4], Draws(kind, 1)[4], Draws(kind, 2)[4]
-    assert np.array_equal(first.noise, again.noise) and np.array_equal(first.iron.matrix, again.iron.matrix)
-    assert not np.array_equal(first.noise, other.noise)
+    assert np.array_equal(first.chances["noise"], again.chances["noise"]) and np.array_equal(
+        first.iron.matrix, again.iron.matrix
+    )
+    assert not np.array_equal(first.chances["noise"], other.chances["noise"])
 
 
 def test_draws_have_the_posterior_spread(kind: Kind) -> None:
@@ -98,9 +100,9 @@ def test_an_effect_that_no_calibration_cures_dominates_and_its_compensation_help
     assert rehearsal.dominant is not None and rehearsal.dominant.name == "motor_current"
     assert rehearsal.dominant.share > 0.8
     best = rehearsal.remedies[0]
-    assert "compensation" in best.words and best.change < 0.5 and is_worth_it(best)
-    without = rehearsal.dominant.without.level.rms_deg
-    assert best.errors.level.rms_deg == pytest.approx(without, rel=0.5)
+    assert "compensation" in best.what and best.change < 0.5 and is_worth_it(best)
+    without = rehearsal.dominant.without.level.rms
+    assert best.heading_error_deg.level.rms == pytest.approx(without, rel=0.5)
     assert {part.name for part in rehearsal.parts} == {*SOURCES, "motor_current"}
 
 
@@ -134,7 +136,7 @@ def test_a_stored_diagnosis_is_rehearsed_like_the_one_just_made(loaded: Track, t
     stored.write_text(json.dumps(fresh.to_json()))
     read = read_stored(stored)
     assert read.recording == log
-    assert rehearse(track, read, draws=4).errors == rehearse(track, fresh, draws=4).errors
+    assert rehearse(track, read, draws=4).parts == rehearse(track, fresh, draws=4).parts
     out = tmp_path / "out.json"
     run = CliRunner().invoke(command, ["rehearse", str(stored), "--draws", "20", "--json", str(out)])
     assert run.exit_code == 0 and "motor_current" in run.output
@@ -156,10 +158,10 @@ def test_the_bound_holds_its_share_of_those_that_could_be_calibrated() -> None:
     errors = np.random.default_rng(2).gamma(2.0, 0.05, size=(4000, 2))
     errors[::3] = np.nan
     run = Run(errors, errors[:, 0], np.full(4000, 4.0))
-    for column, expected in zip(errors.T, (run.errors.level, run.errors.tilted), strict=True):
+    for column, expected in zip(errors.T, (run.errors.level, run.errors.tilt_15), strict=True):
         calibrated = column[np.isfinite(column)]
-        assert (calibrated <= expected.at_most95_deg).mean() == pytest.approx(0.95, abs=0.001)
-        assert expected.at_most95_deg in calibrated
+        assert (calibrated <= expected.interval95[1]).mean() == pytest.approx(0.95, abs=0.001)
+        assert expected.interval95[1] in calibrated
 
 
 def test_without_a_gyro_it_says_what_to_record(loaded: Track, tmp_path: Path) -> None:
