@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
 from mavcompass.gap import Diagnosis, diagnose_gap
 from mavcompass.gap.export.simulators import ardupilot_sitl, preset
@@ -153,3 +154,9 @@ def test_second_compass_of_a_flight_follows_the_motors_current(shared_data: Path
     # Each likely set has it, but none of them is all: no more is said than what it looks like.
     assert "motor_current" in {c.effect for c in (*diagnosis.causes, *diagnosis.look_alikes)}
     assert all("motor_current" in ids for ids, _ in diagnosis.ambiguity_set)
+
+
+def test_a_recording_that_breaks_off_all_the_time_is_refused(shared_data: Path) -> None:
+    track = read_track(shared_data / "real" / "hmc5883l-hand-rotation" / "full-sphere.csv")
+    with pytest.raises(BadRecording, match="breaks between readings"):
+        diagnose_gap(track)

@@ -195,6 +195,11 @@ def replay(
     groups: tuple[Group, ...] = ("mag",)
     # What was before the recording is not known, and what is late or smoothed says it at first.
     valid = reference.known & usable & (time_s - time_s[0] >= LONGEST_LAG_S)
+    if not valid.any():
+        raise BadRecording(
+            f"{track.source or 'The recording'} has breaks between readings all the time.",
+            "Record compass and attitude together, at an even rate.",
+        )
     inertial: tuple[tuple[Group, FloatArray], ...] = (("acc", acc), ("gyro", gyro))
     motion_note: tuple[str, ...] = ()
     for name, values in inertial:
