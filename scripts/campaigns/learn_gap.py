@@ -149,7 +149,7 @@ def examined(of: Wanted) -> Line | None:
     else:
         case = case_of(of.maker, of.tier, of.seed + of.index)  # type: ignore[arg-type]
         track, baseline = case.track, case.baseline
-        cured = case.description.get("cure") != "old"
+        cured = case.vehicle is None or case.vehicle.cure != "old"
         spelt = (
             f"{name}:" + ",".join(f"{key}={value:.9g}" for key, value in values.items())
             for name, values in case.effects

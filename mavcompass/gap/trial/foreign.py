@@ -48,7 +48,7 @@ def another_case(seed: int, tier: str) -> VehicleCase:
         effects=made.effects,
         clean_nominal_mgauss=flight.plain_mgauss,
         clean_mgauss=flight.raw_mgauss,
-        description={"vehicle": "another simulator", "motion": made.words},
+        words=f"another simulator {made.words}",
     )
 
 
@@ -95,12 +95,11 @@ def draw_case(generator: Generator, seed: int, index: int, tier: Tier | None) ->
         # Without the cause that leaves only a trace, there is nothing left to be flagged.
         if chosen != "withheld" or shifts(name for name, _ in case.effects):
             break
-    told = case.description
     effects = tuple(
         f"{name}:" + ",".join(f"{key}={value:.9g}" for key, value in values.items())
         for name, values in case.effects
     )
-    label = Label(chosen, f"{told['vehicle']} {told['motion']}", own, effects, generator=generator)
+    label = Label(chosen, case.words, own, effects, generator=generator)
     assert case.baseline is not None
     return label, case.track, case.baseline
 

@@ -62,7 +62,7 @@ def flights() -> list[Flight]:
     found = []
     for seed in SEEDS:
         case = make_case(seed, "none", baseline=False)
-        own = case.description["steered_by"] == "this_compass"
+        own = case.vehicle is not None and case.vehicle.steering == "this_compass"
         track = misled(case.track) if own else case.track
         found.append(Flight(track, truth_of(track), own, reference_attitude(track, times_of(track))))
     return found

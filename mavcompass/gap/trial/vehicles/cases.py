@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,7 +16,6 @@ from mavcompass.gap.trial.vehicles.effects.known import (
     LARGEST,
     SMALLEST,
     Kind,
-    changed_rms,
     sized,
 )
 from mavcompass.gap.trial.vehicles.effects.outside import OUTSIDE
@@ -50,7 +48,7 @@ class VehicleCase:
         effects: (id, parameters) in the order in which they act, named and in the units of the catalogue.
         clean_nominal_mgauss, clean_mgauss: the raw readings without noise, without and with the effects, at
             the times of `track`'s compass rows, (N, 3). What an effect draws by chance is in the latter.
-        description: what else was drawn, by name.
+        words: what it is like. vehicle: as it was drawn; None of another maker's.
 
     Both tracks hold the true attitude as `truth_q`, for judging only.
     """
@@ -60,7 +58,8 @@ class VehicleCase:
     effects: tuple[tuple[str, dict[str, float]], ...]
     clean_nominal_mgauss: Array
     clean_mgauss: Array
-    description: Mapping[str, object]
+    words: str
+    vehicle: Vehicle | None = None
 
 
 def make_case(seed: int, tier: Tier, baseline: bool = True) -> VehicleCase:
@@ -99,20 +98,8 @@ def make_case(seed: int, tier: Tier, baseline: bool = True) -> VehicleCase:
         effects=tuple((effect.id, dict(effect.parameters)) for effect in effects),
         clean_nominal_mgauss=flown.nominal_mgauss,
         clean_mgauss=flown.changed_mgauss,
-        description={
-            "vehicle": kind,
-            "motion": motion_name,
-            "cure": str(vehicle.cure),
-            "steered_by": vehicle.steering,
-            "averaged": vehicle.compass.averaged,
-            "whole": vehicle.compass.whole,
-            "noise_mgauss": vehicle.compass.noise_mgauss.tolist(),
-            "iron_mgauss": vehicle.compass.iron_mgauss.tolist(),
-            "matrix": vehicle.compass.matrix.tolist(),
-            "current_field_mgauss_per_a": vehicle.compass.current_field.tolist(),
-            "field_ned_mgauss": site.field_mgauss.tolist(),
-            "rms_change_of_each_mgauss": [changed_rms(flight, (effect,)) for effect in effects],
-        },
+        words=f"{kind} {motion_name}",
+        vehicle=vehicle,
     )
 
 
