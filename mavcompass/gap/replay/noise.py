@@ -239,9 +239,9 @@ def wandering(scatter: FloatArray, slow: float, correlation: float) -> tuple[Flo
     return np.sqrt(variance), theta
 
 
-def white(sigma: FloatArray, samples: float = np.inf) -> SensorNoise:
+def white(sigma: FloatArray) -> SensorNoise:
     """Return uncorrelated noise of a stated standard deviation per axis."""
-    return SensorNoise(np.zeros((0, 3)), sigma, sigma, samples)
+    return SensorNoise(np.zeros((0, 3)), sigma, sigma, np.inf)
 
 
 def rough_sigma(error: FloatArray, usable: NDArray[np.bool_]) -> FloatArray:

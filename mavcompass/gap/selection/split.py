@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavcompass.chance import chi_square_of
 from mavcompass.frames import FloatArray
@@ -28,12 +27,9 @@ _SEED = 20260101
 class Split:
     """Hold which rows choose and fit (`train`) and which are held out (`test`), both (N,).
 
-    `block` numbers the block of each row; `held` tells which blocks are held out. Rows within the guard
-    of a held-out block belong to neither.
+    Rows within the guard of a held-out block belong to neither.
     """
 
-    block: NDArray[np.int64]
-    held: Mask
     train: Mask
     test: Mask
 
@@ -60,7 +56,7 @@ def split_blocks(time_s: FloatArray, valid: Mask) -> Split:
     for edge in np.flatnonzero(np.diff(test.astype(np.int8))):
         boundary = 0.5 * (time_s[edge] + time_s[edge + 1])
         train &= ~((np.abs(time_s - boundary) < min(usual.split.guard_s, length / 5.0)) & ~test)
-    return Split(block, held, train & valid, test & valid)
+    return Split(train & valid, test & valid)
 
 
 def with_windows(split: Split, time_s: FloatArray, valid: Mask, moments_s: list[float]) -> Split:
@@ -91,13 +87,13 @@ def probe(split: Split, time_s: FloatArray, moment_s: float) -> float | None:
     return None
 
 
-def moments(fit: Fit, effect_id: str | None = None) -> list[float]:
-    """List when something changes under a fit, by any effect or by one, in seconds."""
+def moments(fit: Fit) -> list[float]:
+    """List when something changes under a fit, in seconds."""
     return [
         float(value)
         for term, theta in zip(fit.terms, fit.thetas, strict=True)
         for parameter, value in zip(term.effect.parameters, theta, strict=True)
-        if effect_id in (None, term.effect.id) and parameter.name in MOMENTS and abs(value) < NEVER_S
+        if parameter.name in MOMENTS and abs(value) < NEVER_S
     ]
 
 

@@ -145,25 +145,16 @@ def affected(stimulus: Stimulus, settings: Sequence[Setting]) -> Reading:
     return Distortion(settings).apply(stimulus, ideal(stimulus), np.random.default_rng(0))
 
 
-def noisy(reading: Reading, rng: np.random.Generator, tails: float = np.inf) -> Reading:
-    """Add the sensors' noise, of first-order correlation; `tails` degrees of freedom of Student's t."""
-    return Reading(
-        *(
-            values + _noise(values.shape, *_NOISE[group], rng, tails)
-            for group, values in ((group, group_values(reading, group)) for group in GROUPS)
-        )
-    )
-
-
-def _noise(
-    shape: tuple[int, ...], sigma: float, rho: float, rng: np.random.Generator, tails: float
-) -> FloatArray:
+def noisy(reading: Reading, rng: np.random.Generator) -> Reading:
+    """Add the sensors' noise, of first-order correlation."""
     from scipy.signal import lfilter
 
-    n = rng.standard_normal(shape)
-    if np.isfinite(tails):
-        n = rng.standard_t(tails, shape) / math.sqrt(tails / (tails - 2.0))
-    return np.asarray(lfilter([sigma * math.sqrt(1.0 - rho**2)], [1.0, -rho], n, axis=0))
+    def with_noise(group: Group) -> FloatArray:
+        values, (sigma, rho) = group_values(reading, group), _NOISE[group]
+        scatter = [sigma * math.sqrt(1.0 - rho**2)], [1.0, -rho]
+        return np.asarray(values + lfilter(*scatter, rng.standard_normal(values.shape), axis=0))
+
+    return Reading(*(with_noise(group) for group in GROUPS))
 
 
 def to_track(stimulus: Stimulus, reading: Reading, name: str = "case") -> Track:

@@ -32,7 +32,6 @@ from mavcompass.gap.replay.nuisance import (
     known_iron,
     reference_attitude_error,
 )
-from mavcompass.gap.selection.split import split_blocks
 from mavcompass.gap.trial.cases import Recipe, make_track, stimulus_of
 from mavcompass.simulation import effects
 from mavcompass.simulation.effects.effect import Signals
@@ -140,7 +139,7 @@ def test_expected_gain_of_a_hard_iron_is_that_of_a_real_fit(replayed: Replay) ->
     problem = plain(replayed)
     null = problem.null()
     term = make_term(effects.catalogue()["hard_iron"], replayed.signals)
-    block = split_blocks(replayed.time_s, replayed.valid).block
+    block = np.floor((replayed.time_s - replayed.time_s[0]) / 2.5).astype(np.int64)
     candidates = Candidates(problem, [term], null, block)
     assert candidates.expected([()])[0] == pytest.approx(null.sse, rel=1e-6)
     fit = problem.fit(null.beside(term, np.zeros(3)))
