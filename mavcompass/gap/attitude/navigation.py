@@ -59,15 +59,35 @@ class Smoothed:
 
 
 def smoothed_attitude(
-    sensed: Sensed,
-    start: FloatArray,
-    bias: Bias,
-    velocity: Velocity | None,
-    witness: Witness | None,
-    scale_sigma: float = usual.gyro.scale,
-) -> Smoothed:
-    """Smooth a first trajectory (N, 3, 3); its yaw must be about that of the velocity, if there is one."""
-    smoother, bound_mps = Smoother(sensed, bias, velocity, witness, scale_sigma), usual.velocity.usual_mps
+    sensed: Sensed, start: FloatArray, resting: Bias, velocity: Velocity | None, witness: Witness | None
+) -> tuple[Smoothed, bool] | None:
+    """Smooth a first trajectory (N, 3, 3), and again where bias or scale of the gyro show to be a fault's.
+
+    Its yaw must be about that of the velocity, if there is one. Returns also whether the gyro's bias is what
+    it was at rest, as far as that may be; None where the velocity is contradicted.
+    """
+
+    def again(start: FloatArray, bias: Bias, scale_sigma: float = usual.gyro.scale) -> Smoothed:
+        return _smoothed(Smoother(sensed, bias, velocity, witness, scale_sigma), start)
+
+    def healthy(found: Smoothed) -> bool:
+        off = np.abs(found.errors["gyro offset"].mean - resting.mean)
+        return not bool((off > usual.gyro.strained * resting.sigma).any())
+
+    found, bias = again(start, resting), resting
+    if not found.borne_out:
+        return None
+    if not healthy(found):
+        # No healthy gyro then: let it say how far it is off.
+        bias = Bias(resting.mean, np.maximum(resting.sigma, usual.gyro.faulty_radps))
+        found = again(found.rotation, bias)
+    if (np.abs(found.errors["gyro gain"].mean) > usual.gyro.stretched * usual.gyro.scale).any():
+        found = again(found.rotation, bias, usual.gyro.faulty_scale)
+    return found, healthy(found)
+
+
+def _smoothed(smoother: Smoother, start: FloatArray) -> Smoothed:
+    bound_mps = usual.velocity.usual_mps
     rotation, trust = smoother.through(smoother.at_knots(start)), smoother.full_trust()
     solved: Solved | None = None
     for turn in range(usual.knots.passes):
@@ -91,30 +111,13 @@ def smoothed_attitude(
     # The constants are a share of what the gyro says, its scale is one of how it turned.
     turned, sigmas = 1.0 - constants[SCALE], np.sqrt(excess * np.diag(solved.constants_covariance))
     errors: dict[Detector, Bias] = {
-        "gyro offset": Bias(bias.mean + change, sigma),
+        "gyro offset": Bias(smoother.bias.mean + change, sigma),
         "gyro gain": Bias(constants[SCALE] / turned, sigmas[SCALE] / turned**2),
         "accelerometer offset": Bias(constants[ACC], sigmas[ACC]),
     }
     return Smoothed(
         rotation, rate, errors, smoother.knots, smoother.telling(), smoother.bears_out(solved), solved, excess
     )
-
-
-def believable(smoothed: Smoothed, bias: Bias) -> bool:
-    """Tell whether a gyro's bias is what it was at rest, as far as that may be."""
-    return not bool(
-        (np.abs(smoothed.errors["gyro offset"].mean - bias.mean) > usual.gyro.strained * bias.sigma).any()
-    )
-
-
-def stretched(smoothed: Smoothed) -> bool:
-    """Tell whether a gyro's scale is off by more than a healthy one's is."""
-    return bool((np.abs(smoothed.errors["gyro gain"].mean) > usual.gyro.stretched * usual.gyro.scale).any())
-
-
-def faulty(bias: Bias) -> Bias:
-    """Let a gyro be off by more than a healthy one is."""
-    return Bias(bias.mean, np.maximum(bias.sigma, usual.gyro.faulty_radps))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

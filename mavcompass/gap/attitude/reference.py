@@ -29,13 +29,10 @@ from mavcompass.frames import (
 from mavcompass.gap.attitude.kinematics import carried
 from mavcompass.gap.attitude.navigation import (
     Doubt,
-    believable,
     doubt_of,
-    faulty,
     sensed_by,
     smoothed_attitude,
     started,
-    stretched,
     wandering_yaw,
 )
 from mavcompass.gap.attitude.sensors import Bias, bias_at_rest, receiver_velocity
@@ -232,20 +229,11 @@ def _fused(
         ahead = float(np.median(_ahead(rotation, witness.rotation)))
         rotation = euler_to_matrix(0.0, 0.0, ahead) @ rotation
     heard = velocity if bearing else None
-    smoothed = smoothed_attitude(sensed, rotation, resting, heard, witness)
-    if not smoothed.borne_out:
+    found = smoothed_attitude(sensed, rotation, resting, heard, witness)
+    if found is None:
         return _fused(track, time_s, choice, instance, doubted, listening=False)
-    known = resting
-    if not believable(smoothed, resting):
-        # No healthy gyro then: let it say how far it is off.
-        known = faulty(resting)
-        smoothed = smoothed_attitude(sensed, smoothed.rotation, known, heard, witness)
-    if stretched(smoothed):
-        smoothed = smoothed_attitude(
-            sensed, smoothed.rotation, known, heard, witness, usual.gyro.faulty_scale
-        )
-    is_told, healthy = bool(told) and choice != "gyro", believable(smoothed, resting)
-    doubt = doubt_of(smoothed, time_s[doubted], is_told, healthy)
+    smoothed, healthy = found
+    doubt = doubt_of(smoothed, time_s[doubted], bool(told) and choice != "gyro", healthy)
     by = f"; its yaw follows {' and '.join(told)}" if told else "; its initial yaw is solved with the field"
     return Reference(
         "fused" if choice == "auto" else choice,
