@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
 
 import numpy as np
 
@@ -164,13 +165,9 @@ def _blocks(group: Group, signals: Signals) -> Iterator[tuple[str, str, FloatArr
 
 
 def _cubic(u: FloatArray) -> FloatArray:
-    columns = [np.ones(len(u))]
-    for i in range(3):
-        columns.append(u[:, i])
-        for j in range(i, 3):
-            columns.append(u[:, i] * u[:, j])
-            columns.extend(u[:, i] * u[:, j] * u[:, k] for k in range(j, 3))
-    return np.stack(columns, axis=1)
+    """Return all products of up to three columns of (N, 3), a one among them."""
+    products = [c for degree in range(4) for c in combinations_with_replacement(range(3), degree)]
+    return np.stack([u[:, list(columns)].prod(axis=1) for columns in products], axis=1)
 
 
 def _products(a: FloatArray, b: FloatArray) -> FloatArray:

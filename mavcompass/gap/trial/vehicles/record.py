@@ -40,41 +40,32 @@ _ANOTHER_IRON_MGAUSS = 1.5
 _ANTENNAS_RAD = math.radians(0.6)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Steer:
-    """Hold what the yaw follows: times (M,), and either body fields (M, 3) or yaw angles (M,)."""
-
-    time_s: Array
-    field_mgauss: Array | None
-    yaw_rad: Array | None
-
-
 def steer_of(
     scene: Scene, felt: Felt, corrected_mgauss: Array, ambient_mgauss: Array, rng: np.random.Generator
-) -> Steer:
-    """Return what steers: this compass's corrected readings, another sound compass, or GPS antennas.
+) -> tuple[Array, Array]:
+    """Return when the yaw is seen, (M,), and how: the field in the body (M, 3), or GPS antennas' yaw (M, 1).
 
-    The age of an averaged reading is made up for with the gyro, as autopilots do.
+    The field is this compass's corrected readings or another sound compass's. The age of an averaged reading
+    is made up for with the gyro, as autopilots do.
     """
     if scene.vehicle.steering == "this_compass":
         every = np.diff(np.floor(scene.reading_s / _YAW_EVERY_S), prepend=-1.0) > 0.0
         time, seen = scene.reading_s[every], corrected_mgauss[every]
         if scene.compass.averaged:
             seen = seen + _AGE_S * np.cross(seen, felt.gyro_radps[(time / STEP_S).astype(np.int64)])
-        return Steer(time, seen, None)
+        return time, seen
     time = np.arange(_YAW_EVERY_S, scene.motion.time_s[-1], _YAW_EVERY_S)
     index = (time / STEP_S).astype(np.int64)
     if scene.vehicle.steering == "gps_antennas":
         yaw = angles(scene.motion.rotation[index])[:, 2] + _ANTENNAS_RAD * rng.standard_normal(time.size)
-        return Steer(time[::2], None, yaw[::2])
+        return time[::2], yaw[::2, None]
     iron = _ANOTHER_IRON_MGAUSS * rng.standard_normal(3)
-    return Steer(
-        time, ambient_mgauss[index] + iron + _ANOTHER_NOISE_MGAUSS * rng.standard_normal((time.size, 3)), None
-    )
+    noise = _ANOTHER_NOISE_MGAUSS * rng.standard_normal((time.size, 3))
+    return time, ambient_mgauss[index] + iron + noise
 
 
 def attitude_at(
-    scene: Scene, felt: Felt, fixes: Fixes | None, steer: Steer, time_s: Array, rng: np.random.Generator
+    scene: Scene, felt: Felt, fixes: Fixes, steer: tuple[Array, Array], at_s: Array, rng: np.random.Generator
 ) -> Array:
     """Run the filter over a scene; return roll, pitch, yaw (T, 3) at times (T,)."""
     rate = _FAST_HZ if scene.motion.time_s[-1] < _LONG_S else _SLOW_HZ
@@ -83,28 +74,21 @@ def attitude_at(
     gyro = felt.gyro_radps[1 : ticks * each + 1].reshape(ticks, each, 3).mean(axis=1)
     force = felt.acc_mps2[1 : ticks * each + 1].reshape(ticks, each, 3).mean(axis=1)
     time = np.arange(1, ticks + 1) / rate
-    pull = np.zeros((ticks, 3))
-    if fixes is not None:
-        told = np.gradient(fixes.velocity_mps, fixes.time_s, axis=0)
-        told = np.stack([np.convolve(column, np.ones(3) / 3.0, mode="same") for column in told.T], axis=1)
-        pull = np.stack([np.interp(time, fixes.time_s, column) for column in told.T], axis=1)
-    first = np.maximum(np.searchsorted(time, steer.time_s), 0)
-    measured: list[tuple[float, float, float] | None] = [None] * (ticks + 1)
-    if steer.field_mgauss is not None:
-        for tick, (x, y, z) in zip(first.tolist(), steer.field_mgauss.tolist(), strict=True):
-            measured[tick] = (x, y, z)
-    elif steer.yaw_rad is not None:
-        for tick, angle in zip(first.tolist(), steer.yaw_rad.tolist(), strict=True):
-            measured[tick] = (angle, 0.0, 0.0)
+    told = np.gradient(fixes.velocity_mps, fixes.time_s, axis=0)
+    told = np.stack([np.convolve(column, np.ones(3) / 3.0, mode="same") for column in told.T], axis=1)
+    pull = np.stack([np.interp(time, fixes.time_s, column) for column in told.T], axis=1)
+    measured: list[list[float] | None] = [None] * (ticks + 1)
+    for tick, seen in zip(np.searchsorted(time, steer[0]).tolist(), steer[1].tolist(), strict=True):
+        measured[tick] = seen
     learnt = scene.vehicle.imu.gyro_bias + np.radians(0.02) * rng.standard_normal(3)
     start = _first_attitude(scene, measured)
     declination = scene.vehicle.site.model.declination_rad
     expected = pull - GRAVITY_NED_MPS2
     track = _filter(scene.vehicle, rate, gyro, force, expected, measured, start, learnt, declination)
-    return angles(quaternion_to_matrix(_between(time, track, time_s)))
+    return angles(quaternion_to_matrix(_between(time, track, at_s)))
 
 
-def _first_attitude(scene: Scene, measured: list[tuple[float, float, float] | None]) -> Array:
+def _first_attitude(scene: Scene, measured: list[list[float] | None]) -> Array:
     """Start at the true tilt and at the yaw that the steering sensor gives."""
     tilt = angles(scene.motion.rotation[:1])
     flat = euler_to_matrix(tilt[0, 0], tilt[0, 1], 0.0)
@@ -123,7 +107,7 @@ def _filter(
     gyro: Array,
     force: Array,
     expected: Array,
-    measured: list[tuple[float, float, float] | None],
+    measured: list[list[float] | None],
     start: Array,
     learnt: Array,
     declination: float,
