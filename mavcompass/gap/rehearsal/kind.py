@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mavcompass.calibration.observation import Dwell, dwell_between, turn_record
-from mavcompass.calibration.observation.turning import GYRO_SCALE_SIGMA, TurnRecord
+from mavcompass.calibration.observation.turning import TurnRecord
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import BadRecording, PoorCalibration, UsageError
 from mavcompass.files import read_text, sha256_of
@@ -165,7 +165,7 @@ class Kind:
         field_ned_mgauss: the field (3,) to which a belief adds. earth: the field as a calibration has it;
             None where the place is unknown.
         stances: how it stands. still: the loads and places that go with them; used: those of all readings.
-        step_sigma_rad, gyro_bias_sigma_radps, gyro_scale_sigma: of the angle between two stances.
+        turns: how surely the angle between two stances is known.
     """
 
     beliefs: tuple[Belief, ...]
@@ -176,9 +176,7 @@ class Kind:
     stances: tuple[Dwell, ...]
     still: Stimulus
     used: Stimulus
-    step_sigma_rad: float
-    gyro_bias_sigma_radps: float
-    gyro_scale_sigma: float
+    turns: TurnRecord
     vehicle: str
 
     @property
@@ -217,9 +215,7 @@ def kind_of(track: Track, diagnosis: Diagnosis | Stored, reference: Choice = "au
         stances=stances,
         still=rows_of(stimulus, nearest),
         used=rows_of(stimulus, np.flatnonzero(replayed.valid)),
-        step_sigma_rad=record.walk_rad * math.sqrt(usual.rehearsal.step_s),
-        gyro_bias_sigma_radps=record.bias_sigma_radps,
-        gyro_scale_sigma=GYRO_SCALE_SIGMA,
+        turns=record,
         vehicle=track.vehicle,
     )
 

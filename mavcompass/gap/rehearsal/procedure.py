@@ -18,6 +18,7 @@ import numpy as np
 from mavcompass.calibration.model import ACCELEROMETER
 from mavcompass.calibration.observation import Dwell, FourPositionData, Step
 from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD
+from mavcompass.calibration.observation.turning import GYRO_SCALE_SIGMA
 from mavcompass.calibration.positions import FourPositionsResult, solve_four_positions
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate, wrap_pi
@@ -108,15 +109,14 @@ def observed(
         force, current = said.acc_mps2[rows].mean(axis=0), float(stimulus.current_a[rows].mean())
         dwells.append(_dwell(kind, individual, k, field, force, current))
         middles.append(float(turned[rows].mean()))
-    steps = []
+    walk_rad = kind.turns.walk_rad * math.sqrt(usual.rehearsal.step_s)
+    steps, bias_sigma = [], kind.turns.bias_sigma_radps
     for k, turn in enumerate(np.diff(middles).tolist()):
-        sigma = math.hypot(kind.step_sigma_rad, dwells[k].turned_sigma_rad, dwells[k + 1].turned_sigma_rad)
-        drifted = bias * kind.gyro_bias_sigma_radps * usual.rehearsal.step_s + sigma * steps_off[k]
-        told = (1.0 + scale * kind.gyro_scale_sigma) * turn + drifted
+        sigma = math.hypot(walk_rad, dwells[k].turned_sigma_rad, dwells[k + 1].turned_sigma_rad)
+        drifted = bias * bias_sigma * usual.rehearsal.step_s + sigma * steps_off[k]
+        told = (1.0 + scale * GYRO_SCALE_SIGMA) * turn + drifted
         steps.append(Step(told, sigma, usual.rehearsal.step_s))
-    return FourPositionData(
-        tuple(dwells), tuple(steps), kind.gyro_scale_sigma, kind.gyro_bias_sigma_radps, TILT_BIAS_SIGMA_RAD
-    )
+    return FourPositionData(tuple(dwells), tuple(steps), GYRO_SCALE_SIGMA, bias_sigma, TILT_BIAS_SIGMA_RAD)
 
 
 def _dwell(

@@ -175,15 +175,14 @@ def _scene(
 
 def _effects(wanted: list[Kind], scene: Scene, rng: np.random.Generator, tier: Tier) -> list[Effect]:
     """Size the wanted effects; one that this flight cannot show gives way to another that it can."""
+    offered = OUTSIDE if tier == "outside" else CATALOGUE
     found: list[Effect] = []
     kinds: list[Kind] = []
     for kind in wanted:
         target = FLOOR_MGAUSS * float(np.exp(rng.uniform(np.log(SMALLEST), np.log(LARGEST))))
         effect = next((e for _ in range(3) if (e := sized(kind, scene, target, rng)) is not None), None)
         while effect is None:
-            kind = (OUTSIDE if tier == "outside" else CATALOGUE)[
-                rng.integers(len(OUTSIDE if tier == "outside" else CATALOGUE))
-            ]
+            kind = offered[rng.integers(len(offered))]
             if _shown(kind, scene) and _fits(kind, kinds + [k for k in wanted if k is not kind]):
                 effect = sized(kind, scene, target, rng)
         found.append(effect)
