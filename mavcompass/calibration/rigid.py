@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from mavcompass.calibration.model import (
     gain_matrix,
     gain_parameters,
 )
+from mavcompass.chance import chance_of_more
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray
@@ -160,15 +162,6 @@ class Readings:
         jacobian[:, GYRO_BIAS] = lasted_s / sigma
         return (scale * turn + x[GYRO_BIAS] * lasted_s - np.diff(self.turned_rad)) / sigma, jacobian
 
-    def with_one_more(
-        self, mean_mgauss: FloatArray, mapping: FloatArray, step_rad: float, sigma_rad: float, lasts_s: float
-    ) -> Readings:
-        """Add a reading at mean load, and the turn to it."""
-        at_s, turned = self.middle_s[-1] + lasts_s, self.turned_rad[-1] + step_rad
-        row = (at_s, mean_mgauss, mapping, np.zeros((3, 3)), 0.0, turned, sigma_rad)
-        grown = zip(self.__slots__, row, strict=True)
-        return replace(self, **{n: np.concatenate([getattr(self, n), [value]]) for n, value in grown})
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PriorRows:
@@ -289,14 +282,80 @@ def covariance_of(jacobian: FloatArray) -> FloatArray:
     return np.asarray(inverse * np.outer(scale, scale))
 
 
-def common_error(whitened: FloatArray, covariance: FloatArray, jacobian: FloatArray) -> FloatArray:
-    """Return what errors common to all readings, whitened as these, (K, 3, M), add to the state, (P, M).
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """Hold the solution of a problem of K readings.
 
-    One sigma each; no agreement between the readings shows it, and no further one averages it out. The
-    readings' rows are the first of the whitened Jacobian (R, P).
+    Attributes:
+        state, covariance: the numbers named by `model.NAMES`, then K headings: (P,), (P, P).
+        residual_mgauss: measured less predicted, (K, 3).
+        sound: how far each reading is believed, 0 to 1, (K,). roots: what whitens its residual, (K, 3, 3).
+        whitened, jacobian: the residuals of field (3 K), turns (K - 1) and prior, and their derivative by the
+            state: (R,), (R, P).
     """
-    rows = whitened.reshape(-1, whitened.shape[2])
-    return np.asarray(covariance @ jacobian[: len(rows)].T @ rows)
+
+    state: FloatArray
+    covariance: FloatArray
+    residual_mgauss: FloatArray
+    sound: FloatArray
+    roots: FloatArray
+    whitened: FloatArray
+    jacobian: FloatArray
+
+    @classmethod
+    def of(
+        cls, readings: Readings, x: FloatArray, roots: FloatArray, rules: PriorRows, sound: FloatArray
+    ) -> Self:
+        """Settle a state near enough, and say what is known of it."""
+        x = settle(readings, x, roots, rules)
+        values, jacobian = assembled(readings, x, roots, rules)
+        covariance = covariance_of(jacobian)
+        return cls(x, covariance, readings.field(x)[0], sound, roots, values, jacobian)
+
+    @property
+    def offset_mgauss(self) -> FloatArray:
+        """Return the hard iron, (3,)."""
+        return self.state[OFFSET]
+
+    @property
+    def gain(self) -> FloatArray:
+        """Return the symmetric gain, (3, 3)."""
+        return gain_matrix(self.state[GAIN])
+
+    @property
+    def headings_rad(self) -> FloatArray:
+        """Return the readings' magnetic headings, (K,)."""
+        return self.state[HEADINGS:]
+
+    @property
+    def cost(self) -> float:
+        """Return half the squared whitened residuals, prior included; lower is likelier."""
+        return 0.5 * float(self.whitened @ self.whitened)
+
+    @property
+    def chance(self) -> float:
+        """Return the probability that chance leaves more of what was measured."""
+        return chance_of_more(self.chi_square, self.freedom)
+
+    @property
+    def chi_square(self) -> float:
+        """Return the squared whitened residuals of what was measured."""
+        measured = self.whitened[: 4 * len(self.sound) - 1]
+        return float(measured @ measured)
+
+    @property
+    def freedom(self) -> int:
+        """Return how many of the measured numbers the fit cannot absorb."""
+        rows = self.jacobian[: 4 * len(self.sound) - 1]
+        return max(round(len(rows) - float(((rows @ self.covariance) * rows).sum())), 0)
+
+    def common_error(self, by: FloatArray) -> FloatArray:
+        """Return what errors common to all readings, one sigma each in the field, add to the state, (P, M).
+
+        They are `by`, (K, 3, M): no agreement between the readings shows them, no further one averages them.
+        """
+        rows = (self.roots @ by).reshape(-1, by.shape[2])
+        return np.asarray(self.covariance @ self.jacobian[: len(rows)].T @ rows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

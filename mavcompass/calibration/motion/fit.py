@@ -8,22 +8,19 @@ autopilot's yaw. How far off each section may be (`misfit`) is estimated with th
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from mavcompass.calibration.first_state import FirstState, first_state, rough_field
 from mavcompass.calibration.model import (
-    GAIN,
     HEADINGS,
     HORIZONTAL,
     LAG,
     MOTOR,
-    OFFSET,
     VERTICAL,
     HeadingError,
     by_tilt,
-    gain_matrix,
 )
 from mavcompass.calibration.motion.misfit import (
     ModelError,
@@ -33,7 +30,7 @@ from mavcompass.calibration.motion.misfit import (
     soundness,
 )
 from mavcompass.calibration.motion.sections import Sections
-from mavcompass.calibration.rigid import IronPrior, assembled, common_error, covariance_of, prior_rows, settle
+from mavcompass.calibration.rigid import Fit, IronPrior, prior_rows, settle
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration
@@ -46,40 +43,16 @@ _FEWEST = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MotionFit:
+class MotionFit(Fit):
     """Hold the fit of K sections.
 
     Attributes:
-        state: 16 numbers named by `model.NAMES`, the lag, K headings. covariance: of it.
-        residual_mgauss: measured less predicted, (K, 3).
         variance_mgauss2: of the residuals by noise, tilt and model error, (K, 3, 3).
         error: of the model, in each section; none where chance explains the residuals.
-        sound: probability of each section not being disturbed, (K,).
-        jacobian, whitened: rows of field (3 K) then turns (K - 1), as the fit weighed them: (R, P), (R,).
-        information: the inverse of `covariance`.
-        cost: half the squared whitened residuals, prior included; lower is likelier.
     """
 
-    state: FloatArray
-    covariance: FloatArray
-    residual_mgauss: FloatArray
-    variance_mgauss2: FloatArray
-    error: ModelError
-    sound: FloatArray
-    jacobian: FloatArray
-    whitened: FloatArray
-    information: FloatArray
-    cost: float
-
-    @property
-    def offset_mgauss(self) -> FloatArray:
-        """Return the hard iron, (3,)."""
-        return self.state[OFFSET]
-
-    @property
-    def gain(self) -> FloatArray:
-        """Return the symmetric gain, (3, 3)."""
-        return gain_matrix(self.state[GAIN])
+    variance_mgauss2: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    error: ModelError = field(default_factory=ModelError)
 
     @property
     def horizontal_mgauss(self) -> float:
@@ -93,14 +66,14 @@ class MotionFit:
         return math.hypot(self.error.mgauss, math.sqrt(2.0 / 3.0) * total * self.error.attitude_rad)
 
     @property
-    def headings_rad(self) -> FloatArray:
-        """Return the sections' magnetic headings, (K,)."""
-        return self.state[HEADINGS:]
+    def information(self) -> FloatArray:
+        """Return the inverse of the covariance."""
+        return np.asarray(self.jacobian.T @ self.jacobian)
 
     @property
     def log_evidence(self) -> float:
         """Return the log of the readings' chance by this model (Laplace), but for what all fits share."""
-        roots = np.diagonal(roots_of(self.variance_mgauss2, self.sound), axis1=1, axis2=2)
+        roots = np.diagonal(self.roots, axis1=1, axis2=2)
         return float(np.log(roots).sum() - 0.5 * np.linalg.slogdet(self.information)[1]) - self.cost
 
 
@@ -142,22 +115,8 @@ def fit_motion(
         if settled or error.is_hopeless:
             break
     variance = section_variance(sections, x, error)
-    roots = roots_of(variance, sound)
-    x = settle(sections, x, roots, rules)
-    values, jacobian = assembled(sections, x, roots, rules)
-    measured = 4 * len(sections) - 1
-    return MotionFit(
-        state=x,
-        covariance=covariance_of(jacobian),
-        residual_mgauss=sections.field(x)[0],
-        variance_mgauss2=variance,
-        error=error,
-        sound=sound,
-        jacobian=jacobian[:measured],
-        whitened=values[:measured],
-        information=jacobian.T @ jacobian,
-        cost=0.5 * float(values @ values),
-    )
+    fit = MotionFit.of(sections, x, roots_of(variance, sound), rules, sound)
+    return replace(fit, variance_mgauss2=variance, error=error)
 
 
 def begin(
@@ -178,10 +137,10 @@ def begin(
 def leaning_error(sections: Sections, fit: MotionFit) -> FloatArray:
     """Return what the accelerometer's own error, the same all along, adds to the state, (P, 2).
 
-    By roll and by pitch, one sigma each; see `rigid.common_error`.
+    By roll and by pitch, one sigma each; see `rigid.Fit.common_error`.
     """
     leaning = by_tilt(sections.mapping, fit.state, fit.headings_rad) * sections.tilt_bias_rad
-    return common_error(roots_of(fit.variance_mgauss2, fit.sound) @ leaning, fit.covariance, fit.jacobian)
+    return fit.common_error(leaning)
 
 
 def sigma_of(fit: MotionFit) -> float:

@@ -99,11 +99,12 @@ def _left_out(fit: MotionFit, block: NDArray[np.intp]) -> float:
     rows = np.repeat(block, 3)
     field_rows = fit.jacobian[: rows.size]
     before = np.einsum("ni,ij,nj->n", gradient, fit.covariance, gradient)
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(fit.information), 1e-24))
+    information = fit.information
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-24))
     moved = expected = 0.0
     for one in np.unique(block):
         inside = field_rows[rows == one]
-        rest = (fit.information - inside.T @ inside) * np.outer(scale, scale)
+        rest = (information - inside.T @ inside) * np.outer(scale, scale)
         rest[np.diag_indices_from(rest)] += 1e-9
         pull = inside.T @ fit.whitened[: rows.size][rows == one]
         solved = np.linalg.solve(rest, (np.column_stack([pull, gradient.T])) * scale[:, np.newaxis])

@@ -30,10 +30,8 @@ from mavcompass.calibration.model import (
     heading_gradient,
 )
 from mavcompass.calibration.observation import FourPositionData
-from mavcompass.calibration.positions.disturbance import weigh_disturbances
-from mavcompass.calibration.positions.problem import PositionFit, PositionProblem, fit_positions
-from mavcompass.calibration.rigid import DEFAULT_PRIOR, Blend, IronPrior, common_error, weigh_cross_terms
-from mavcompass.chance import chance_of_more
+from mavcompass.calibration.positions.problem import PositionProblem, fit_positions, weigh_disturbances
+from mavcompass.calibration.rigid import DEFAULT_PRIOR, Blend, Fit, IronPrior, weigh_cross_terms
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray, wrap_two_pi
@@ -61,7 +59,6 @@ class FourPositionsResult:
         correction: what to put in force, ArduPilot's meaning.
         state, covariance: all parameters, named by `names`; headings are magnetic.
         residual_mgauss: measured less predicted mean field, (K, 3).
-        residual_rms_mgauss: over dwells and axes.
         consistency: the probability of a worse agreement by chance, the likeliest disturbed dwell left out.
         disturbed_probability: of each dwell having been disturbed, (K,).
         disturbance_mgauss: how far the likeliest of them is from what the others predict.
@@ -77,7 +74,6 @@ class FourPositionsResult:
     state: FloatArray
     covariance: FloatArray
     residual_mgauss: FloatArray
-    residual_rms_mgauss: float
     consistency: float
     disturbed_probability: FloatArray
     disturbance_mgauss: float
@@ -96,6 +92,11 @@ class FourPositionsResult:
     def heading_sigma_rad(self) -> float:
         """Return the level heading's sigma, rms over the circle, by the calibration alone."""
         return self.heading_error.rms_rad()
+
+    @property
+    def residual_rms_mgauss(self) -> float:
+        """Return what is left, over dwells and axes."""
+        return math.sqrt(float((self.residual_mgauss**2).mean()))
 
     @property
     def raw_offset_mgauss(self) -> FloatArray:
@@ -127,28 +128,24 @@ def solve_four_positions(
     """
     problem = PositionProblem.of(data, in_force, earth, prior)
     fit = fit_positions(problem)
-    undisturbed = weigh_disturbances(problem, fit)
-    best = undisturbed.best
-    consistency = chance_of_more(best.chi_square, best.freedom)
+    mixture = weigh_disturbances(problem, fit)
+    best, consistency = mixture.best, mixture.best.chance
     # A worse agreement than chance gives, whichever dwell is blamed: the noise is not what it seemed.
     excess = max(best.chi_square / max(best.freedom, 1), 1.0) if consistency < WIDENED_BELOW else 1.0
-    covariance = excess * undisturbed.covariance
     # The accelerometer's own error, the same in every dwell: on the level it looks like an offset.
-    leaning = common_error(problem.roots(fit.weights) @ problem.leaning, fit.covariance, fit.jacobian)
-    blend = weigh_cross_terms(undisturbed.state, covariance, prior, leaning)
-    residual = fit.residual
-    ranked = np.argsort(-undisturbed.probability)
+    leaning = fit.common_error(problem.leaning)
+    blend = weigh_cross_terms(mixture.state, excess * mixture.covariance, prior, leaning)
+    ranked = np.argsort(-mixture.probability)
     return FourPositionsResult(
         correction=_correction(blend.state, in_force, earth is not None),
         names=(*NAMES, *(f"heading_{k + 1}" for k in range(len(data.dwells)))),
         state=blend.state,
         covariance=blend.covariance,
-        residual_mgauss=residual,
-        residual_rms_mgauss=math.sqrt(float((residual**2).mean())),
+        residual_mgauss=fit.residual_mgauss,
         consistency=consistency,
-        disturbed_probability=undisturbed.probability,
-        disturbance_mgauss=float(undisturbed.size_mgauss[ranked[0]]),
-        suspects=tuple(int(i) for i in ranked if undisturbed.probability[i] > _SUSPECT),
+        disturbed_probability=mixture.probability,
+        disturbance_mgauss=float(mixture.size_mgauss[ranked[0]]),
+        suspects=tuple(int(i) for i in ranked if mixture.probability[i] > _SUSPECT),
         budget_rad=heading_budget(problem, fit, blend),
         world_model=earth is not None,
         mirrored=problem.mirrored,
@@ -171,7 +168,7 @@ def _correction(state: FloatArray, in_force: FieldCorrection, world_model: bool)
     return FieldCorrection.from_matrix(offsets, 0.5 * (matrix + matrix.T)).with_motor_of(in_force)
 
 
-def heading_budget(problem: PositionProblem, fit: PositionFit, blend: Blend) -> dict[str, float]:
+def heading_budget(problem: PositionProblem, fit: Fit, blend: Blend) -> dict[str, float]:
     """Split the heading's rms sigma over the circle by source, radians; the squares add up to the whole."""
     k = len(problem.readings)
     circle = np.arange(36) * (2.0 * math.pi / 36)

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.calibration.model import NAMES, OFFSET, HeadingError
-from mavcompass.calibration.observation import FourPositionData, Step
+from mavcompass.calibration.model import HEADINGS, NAMES, OFFSET, HeadingError
+from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.positions.problem import PositionProblem, fit_positions
-from mavcompass.calibration.rigid import DEFAULT_PRIOR, IronPrior
+from mavcompass.calibration.rigid import DEFAULT_PRIOR, Fit, IronPrior, Readings, covariance_of
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.earth_field import EarthField
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, level_to_body
 
 _OFFSET_KNOWN_MGAUSS = 10.0
 _GAIN_KNOWN = 0.04
@@ -70,16 +70,17 @@ def next_pose(
     of roll or pitch. Only covariances are needed, so the search works before the pose is taken.
     Raises PoorCalibration for data that `solve_four_positions` would refuse too.
     """
-    tilts = [(0.0, 0.0)]
+    tilts, lean = [(0.0, 0.0)], math.radians(15.0)
     if may_tilt:
-        lean = math.radians(15.0)
         tilts += [(lean, 0.0), (-lean, 0.0), (0.0, lean), (0.0, -lean)]
     problem = PositionProblem.of(data, in_force, earth, prior)
-    state = fit_positions(problem).state
+    fit = fit_positions(problem)
     best: NextPose | None = None
     for turn in np.arange(0.0, 2.0 * math.pi, math.radians(45.0)):
         for roll, pitch in tilts:
-            level, tilted = _sigma_with(problem, state, data, float(turn), roll, pitch)
+            error = HeadingError(fit.state, _covariance_with(problem, fit, float(turn), roll, pitch)[:9, :9])
+            level, tilted = error.rms_rad(), math.hypot(error.rms_rad(lean, 0.0), error.rms_rad(0.0, lean))
+            tilted /= math.sqrt(2.0)
             if best is None or math.hypot(level, tilted) < math.hypot(
                 best.sigma_level_rad, best.sigma_tilted_rad
             ):
@@ -89,25 +90,26 @@ def next_pose(
     return best
 
 
-def _sigma_with(
-    problem: PositionProblem,
-    state: FloatArray,
-    data: FourPositionData,
-    turn: float,
-    roll: float,
-    pitch: float,
-) -> tuple[float, float]:
-    """Predict the heading's rms sigma, level and at 15 degrees, with one more pose."""
-    extended = problem.with_pose(state, turn, roll, pitch, _usual_step(data))
-    covariance = fit_positions(extended).covariance
-    lean = math.radians(15.0)
-    error = HeadingError(state, covariance[:9, :9])
-    return error.rms_rad(), math.hypot(error.rms_rad(lean, 0.0), error.rms_rad(0.0, lean)) / math.sqrt(2.0)
-
-
-def _usual_step(data: FourPositionData) -> Step:
-    sigma = float(np.median([s.sigma_rad for s in data.steps]))
-    return Step(0.0, sigma, float(np.median([s.duration_s for s in data.steps])))
+def _covariance_with(
+    problem: PositionProblem, fit: Fit, turn_rad: float, roll_rad: float, pitch_rad: float
+) -> FloatArray:
+    """Return the covariance of the state and of one more heading, its pose as certain as the best so far."""
+    readings, known = problem.readings, fit.state.size
+    pair = Readings(
+        middle_s=np.array([0.0, np.median(np.diff(readings.middle_s))]),
+        mean_mgauss=np.zeros((2, 3)),
+        mapping=level_to_body(np.array([0.0, roll_rad]), np.array([0.0, pitch_rad])),
+        by_lag=np.zeros((2, 3, 3)),
+        load=np.zeros(2),
+        turned_rad=np.array([0.0, turn_rad]),
+        step_sigma_rad=np.median(readings.step_sigma_rad, keepdims=True),
+    )
+    state = np.append(fit.state[:HEADINGS], fit.state[-1] + pair.turned_rad)
+    (_, by), (_, by_turn) = pair.field(state), pair.turns(state)
+    best = int(np.argmin(np.trace(sum(problem.parts.values()), axis1=1, axis2=2)))
+    rows = np.zeros((4, known + 1))
+    rows[:, [*range(HEADINGS), known - 1, known]] = np.concatenate([problem.whiten[best] @ by[1], by_turn])
+    return covariance_of(np.concatenate([np.pad(fit.jacobian, ((0, 0), (0, 1))), rows]))
 
 
 def _words(turn: float, roll: float, pitch: float) -> str:

@@ -1,23 +1,23 @@
-"""The four-position fit: measurements with their covariances, the prior, a first state, and its solution."""
+"""The four-position fit: measurements with their covariances, the prior, a first state; was one disturbed?"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from mavcompass.calibration.first_state import first_state, rough_field
-from mavcompass.calibration.model import GAIN, HEADINGS, HORIZONTAL, OFFSET, VERTICAL, by_tilt, gain_matrix
-from mavcompass.calibration.observation import FourPositionData, Step
+from mavcompass.calibration.model import HEADINGS, by_tilt
+from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.rigid import (
     DEFAULT_PRIOR,
+    Fit,
     IronPrior,
     PriorRows,
     Readings,
-    assembled,
-    covariance_of,
     prior_rows,
     settle,
 )
@@ -25,7 +25,6 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, level_to_body
-from mavcompass.heading.compute import level_field
 
 # What no error model names: the sensor's own bends and steps of its converter.
 _FLOOR_MGAUSS = 0.01
@@ -36,6 +35,12 @@ _DEAD_MGAUSS = 1.0
 # Of a compass that is upside down the field turns against the gyro.
 _UPSIDE_DOWN = (1.0, -1.0, 1.0)
 _MANY_SIGMAS_3D = 11.34  # chi-square of three, 99 %
+# How often a position is disturbed at all, and how large such fields are.
+DISTURBED_RUNS, SIZES_MGAUSS = 0.05, (5.0, 40.0)
+# Positions that chance lets disagree as much this often were not. And a disturbance less likely than that is
+# left out of the answer: its far tail would widen a sigma that is meant to cover two thirds, not the rare
+# exception.
+_BY_CHANCE, _NEGLIGIBLE = 0.05, 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,31 +124,6 @@ class PositionProblem:
         whiten[index] = np.linalg.inv(np.linalg.cholesky(sum(part[index] for part in parts.values())))
         return replace(self, parts=parts, whiten=whiten)
 
-    def with_pose(
-        self, state: FloatArray, turn_rad: float, roll_rad: float, pitch_rad: float, step: Step
-    ) -> PositionProblem:
-        """Add a pose not yet taken, as certain as the best so far, reading what `state` predicts."""
-        tilt = level_to_body(roll_rad, pitch_rad)
-        psi = float(state[-1]) + turn_rad
-        level = level_field(psi, state[HORIZONTAL], state[VERTICAL])
-        reading = state[OFFSET] + gain_matrix(state[GAIN]) @ tilt @ level
-        best = int(np.argmin(np.trace(sum(self.parts.values()), axis1=1, axis2=2)))
-
-        def grown(array: FloatArray, value: FloatArray) -> FloatArray:
-            return np.concatenate([array, np.asarray(value)[np.newaxis]])
-
-        return replace(
-            self,
-            readings=self.readings.with_one_more(
-                reading, tilt, turn_rad, max(step.sigma_rad, 1e-6), step.duration_s
-            ),
-            rules=replace(self.rules, rows=np.pad(self.rules.rows, ((0, 0), (0, 1)))),
-            start=grown(state, np.array(psi)),
-            whiten=grown(self.whiten, self.whiten[best]),
-            parts={name: grown(part, part[best]) for name, part in self.parts.items()},
-            leaning=grown(self.leaning, self.leaning[best]),
-        )
-
 
 def _require_turning(mean: FloatArray, turned: FloatArray) -> None:
     """Raise PoorCalibration where the vehicle hardly turned, or the field of means (K, 3) hardly changed."""
@@ -164,52 +144,85 @@ def _require_turning(mean: FloatArray, turned: FloatArray) -> None:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PositionFit:
-    state: FloatArray
-    covariance: FloatArray
-    residual: FloatArray  # (K, 3), mG
-    jacobian: FloatArray  # whitened, rows: 3K field, K-1 steps, prior
-    weights: FloatArray  # (K,)
-    cost: float  # the squared whitened residuals, prior included
-    chi_square: float
-    freedom: int
-
-
-def fit_positions(problem: PositionProblem, near: PositionFit | None = None) -> PositionFit:
+def fit_positions(problem: PositionProblem, near: Fit | None = None) -> Fit:
     """Fit the positions; dwells far out weigh less where there are many.
 
     The fit of a problem that is nearly the same may be given to begin with.
     """
     readings = problem.readings
-    x, weights = (problem.start, np.ones(len(readings))) if near is None else (near.state, near.weights)
+    x, weights = (problem.start, np.ones(len(readings))) if near is None else (near.state, near.sound)
     if len(readings) >= _ROBUST_FROM:
         for _ in range(_ROUNDS):
             x = settle(readings, x, problem.roots(weights), problem.rules, _STEPS_A_ROUND)
             before, weights = weights, _weights(problem, readings.field(x)[0])
             if float(np.abs(weights - before).max()) < 1e-3:
                 break
-    roots = problem.roots(weights)
-    x = settle(readings, x, roots, problem.rules)
-    residual, _ = readings.field(x)
-    values, jacobian = assembled(readings, x, roots, problem.rules)
-    covariance = covariance_of(jacobian)
-    # What the fit cannot absorb of each measurement adds up to the degrees of freedom.
-    measured = 4 * len(readings) - 1
-    rows = jacobian[:measured]
-    absorbed = float(((rows @ covariance) * rows).sum())
-    return PositionFit(
-        state=x,
-        covariance=covariance,
-        residual=residual,
-        jacobian=jacobian,
-        weights=weights,
-        cost=float(values @ values),
-        chi_square=float(values[:measured] @ values[:measured]),
-        freedom=max(round(measured - absorbed), 0),
-    )
+    return Fit.of(readings, x, problem.roots(weights), problem.rules, weights)
 
 
 def _weights(problem: PositionProblem, field: FloatArray) -> FloatArray:
     distance = (np.einsum("kij,kj->ki", problem.whiten, field) ** 2).sum(axis=1)
     return np.asarray(np.minimum(1.0, _MANY_SIGMAS_3D / np.maximum(distance, 1e-12)))
+
+
+# --- was one of the positions disturbed? --------------------------------------------------------------
+
+
+class Mixture(NamedTuple):
+    """Hold the mixture over "no dwell was disturbed" and "dwell j was".
+
+    Attributes:
+        state, covariance: of the mixture.
+        probability: of each dwell having been disturbed, (K,).
+        size_mgauss: how far each dwell's field is from what the others predict, (K,).
+        best: the fit by the likeliest hypothesis.
+    """
+
+    state: FloatArray
+    covariance: FloatArray
+    probability: FloatArray
+    size_mgauss: FloatArray
+    best: Fit
+
+
+def weigh_disturbances(problem: PositionProblem, fit: Fit) -> Mixture:
+    """Blend the fit with those in which one dwell is disturbed, by their probabilities.
+
+    A car that passes, or steel beside one position, adds an unknown field to one dwell. The hypothesis that
+    it was dwell j is the same fit with that dwell loosened; Laplace's evidence weighs it. With many positions
+    the disturbed one is left out; with four, several may be suspect, and the heading's sigma grows by how
+    much their answers differ. Positions that agree as chance lets them were not disturbed.
+    """
+    k = len(problem.readings)
+    sizes, owners, fits = np.zeros(k), [-1], [fit]
+    if fit.chance >= _BY_CHANCE:
+        return Mixture(fit.state, fit.covariance, np.zeros(k), sizes, fit)
+    odds = math.log(DISTURBED_RUNS / (k * len(SIZES_MGAUSS)))
+    weights = [math.log(1.0 - DISTURBED_RUNS) + _evidence(problem, fit)]
+    for j in range(k):
+        for size in SIZES_MGAUSS:
+            loosened = problem.loosened(j, size)
+            fits.append(fit_positions(loosened, fit))
+            owners.append(j)
+            weights.append(odds + _evidence(loosened, fits[-1]))
+        sizes[j] = np.linalg.norm(fits[-1].residual_mgauss[j])
+    share = np.exp(np.array(weights) - max(weights))
+    share /= share.sum()
+    probability = np.array([share[np.array(owners) == j].sum() for j in range(k)])
+    best = fits[int(np.argmax(share))]
+    if float(probability.sum()) < _NEGLIGIBLE:
+        return Mixture(fit.state, fit.covariance, probability, sizes, best)
+    states = np.array([one.state for one in fits])
+    apart = states - share @ states
+    covariance = np.tensordot(share, [one.covariance for one in fits], axes=1)
+    covariance += (apart * share[:, np.newaxis]).T @ apart
+    return Mixture(share @ states, covariance, probability, sizes, best)
+
+
+def _evidence(problem: PositionProblem, fit: Fit) -> float:
+    """Return the logarithm of the evidence up to a constant: fit, weights, and the room left to the state."""
+    weights = float(np.linalg.slogdet(problem.whiten)[1].sum())
+    scale = np.sqrt(np.diag(fit.covariance))
+    correlation = fit.covariance / np.outer(scale, scale)
+    room = float(np.log(scale).sum()) + 0.5 * float(np.linalg.slogdet(correlation)[1])
+    return -fit.cost + weights + room

@@ -86,7 +86,7 @@ def test_exact_sections_give_the_iron_the_headings_and_no_model_error(found: Mot
     assert found.headings_rad == pytest.approx(0.3 + sections_of().turned_rad, abs=1e-4)
     assert found.error.mgauss == 0.0 and found.sound.min() > 0.999
     assert np.abs(found.residual_mgauss).max() < 0.05
-    assert found.jacobian.shape == (4 * K - 1, HEADINGS + K) and found.whitened.shape == (4 * K - 1,)
+    assert found.jacobian.shape[1] == HEADINGS + K and len(found.jacobian) == found.whitened.size
     assert found.information @ found.covariance == pytest.approx(np.eye(HEADINGS + K), abs=1e-3)
     assert fit.residual_of(sections_of(), found) == pytest.approx(found.residual_mgauss, abs=0.05)
     by_lag = np.tile(4.0 * np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), (K, 1, 1))

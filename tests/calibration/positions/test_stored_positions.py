@@ -12,8 +12,7 @@ from calibration_worlds import FIELD, Iron, four_positions
 
 from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.positions import PositionProblem, next_pose, solve_four_positions
-from mavcompass.calibration.positions.disturbance import weigh_disturbances
-from mavcompass.calibration.positions.problem import fit_positions
+from mavcompass.calibration.positions.problem import fit_positions, weigh_disturbances
 from mavcompass.calibration.positions.verdict import calibrate_positions
 from mavcompass.calibration.rigid import DEFAULT_PRIOR
 from mavcompass.correction import FieldCorrection
@@ -78,8 +77,8 @@ def test_a_fit(data: FourPositionData, world: bool, as_stored: AsStored) -> None
             "start": problem.start,
             "whiten": problem.whiten[::2],
             "state": fit.state,
-            "weights": fit.weights,
-            "one": [fit.cost, fit.chi_square, fit.freedom, blend.best.chi_square, blend.best.freedom],
+            "weights": fit.sound,
+            "one": [2.0 * fit.cost, fit.chi_square, fit.freedom, blend.best.chi_square, blend.best.freedom],
             "sigma": np.sqrt(np.diag(fit.covariance)),
             "disturbed": blend.probability,
             "size": blend.size_mgauss,
