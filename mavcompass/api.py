@@ -17,7 +17,7 @@ from mavcompass.track import Track
 if TYPE_CHECKING:
     from mavcompass.calibration.result import CalibrationResult
     from mavcompass.gap.result import Diagnosis
-    from mavcompass.heading.stream import HeadingResult
+    from mavcompass.heading.one_compass import HeadingResult
     from mavcompass.vehicle.connection import Vehicle
 
 
@@ -71,7 +71,8 @@ def heading(track: Recorded, correction: FieldCorrection | None = None, instance
     `correction` is applied to the raw field; without it the autopilot's own stays in force.
     Raises BadRecording for a compass that the track does not have.
     """
-    from mavcompass.heading.stream import HeadingResult, heading_of_track
+    from mavcompass.heading.evidence import heading_of_track
+    from mavcompass.heading.one_compass import HeadingResult
 
     _shows(HeadingResult, _heading_in_words)
     return heading_of_track(_track(track), correction, instance)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from mavcompass.calibration.result import DEFAULT_LIMITS, CalibrationResult, Lim
 from mavcompass.compass_parameters import values
 from mavcompass.credible import SILENT, is_silent
 from mavcompass.earth_field import EarthField, earth_field_of
-from mavcompass.errors import BadRecording, MavCompassError, PoorCalibration
+from mavcompass.errors import MavCompassError, PoorCalibration
 from mavcompass.gravity import require_gravity
 from mavcompass.heading.doubt import turned_since_new, turned_vector
 from mavcompass.parameter_remarks import remarks_said
@@ -28,6 +29,7 @@ _DEAD_SWING_MGAUSS = 3.0
 _TURNED_RAD = math.radians(45.0)
 # Tried where another method refused.
 _OTHERS = ("four-positions", "world-field", "ellipsoid")
+_T = TypeVar("_T")
 NOTHING_FOUND: Mapping[int, OwnFinding] = MappingProxyType({})
 
 
@@ -105,19 +107,11 @@ def calibrate_compasses(
         return solve(replace(given, found=found.get(instance)))
 
     track, ended = _within_range(track)
-    results: dict[int, CalibrationResult] = {}
-    refusals: dict[int, PoorCalibration] = {}
-    for i in sorted({*chosen, *track.compasses}):
-        try:
-            _check_compass(track, i)
-            results[i] = solved(track, i)
-        except PoorCalibration as refusal:
-            refusals[i] = refusal
-        except BadRecording:
-            if i in chosen:
-                raise
-    if chosen and all(i in refusals for i in chosen):
-        raise refusals[chosen[0]]
+    results, refusals = _each(track, {*chosen, *track.compasses}, solved)
+    refused = [refusals[i] for i in chosen if i in refusals]
+    wrong = [refusal for refusal in refused if not isinstance(refusal, PoorCalibration)]
+    if wrong or (chosen and len(refused) == len(chosen)):
+        raise (wrong or refused)[0]
     case = Case(track, results, world, limits, solved, windows)
     judged: dict[int, CalibrationResult] = {}
     for i in chosen:
@@ -143,20 +137,28 @@ def learn_compasses(
 ) -> dict[int, Learnt | MavCompassError]:
     """Tell what some minutes of work show of compasses, or why they show nothing of one."""
     track, _ = _within_range(track)
-    found: dict[int, Learnt | MavCompassError] = {}
-    for i in instances:
-        try:
-            _check_compass(track, i)
-            found[i] = learn(Recorded(track, i, earth, limits))
-        except MavCompassError as error:
-            found[i] = error
-    learnt = {i: one for i, one in found.items() if isinstance(one, Learnt)}
+    learnt, refusals = _each(track, instances, lambda of, i: learn(Recorded(of, i, earth, limits)))
     results = {i: one.result for i, one in learnt.items()}
     case = Case(track, results, earth, limits, lambda of, i: learn(Recorded(of, i, earth, limits)).result)
-    judged = {
-        i: replace(one, result=with_parameters(judge(case, one.result), track)) for i, one in learnt.items()
-    }
-    return {**found, **judged}
+    found: dict[int, Learnt | MavCompassError] = {**refusals}
+    for i, one in learnt.items():
+        found[i] = replace(one, result=with_parameters(judge(case, one.result), track))
+    return {i: found[i] for i in instances}
+
+
+def _each(
+    track: Track, instances: Collection[int], solve: Callable[[Track, int], _T]
+) -> tuple[dict[int, _T], dict[int, MavCompassError]]:
+    """Solve for each compass by itself; beside the solutions stands why there is none."""
+    solved: dict[int, _T] = {}
+    refusals: dict[int, MavCompassError] = {}
+    for i in sorted(instances):
+        try:
+            _check_compass(track, i)
+            solved[i] = solve(track, i)
+        except MavCompassError as refusal:
+            refusals[i] = refusal
+    return solved, refusals
 
 
 def _within_range(track: Track) -> tuple[Track, dict[int, str]]:
@@ -189,7 +191,7 @@ def _would_do(recorded: Recorded, refused: str) -> tuple[str, ...]:
     return tuple(said)
 
 
-def _refused(track: Track, method: str, instance: int, refusal: PoorCalibration) -> CalibrationResult:
+def _refused(track: Track, method: str, instance: int, refusal: MavCompassError) -> CalibrationResult:
     """Keep what is in force for a compass that the recording cannot calibrate."""
     in_force = Recorded(track, instance).in_force
     return CalibrationResult(
@@ -197,7 +199,6 @@ def _refused(track: Track, method: str, instance: int, refusal: PoorCalibration)
         method=method,
         accepted=False,
         reasons=(str(refusal),),
-        raw_offset_mgauss=-np.asarray(in_force.offsets_mgauss),
         correction=in_force,
         in_force=in_force,
     )

@@ -18,8 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mavcompass.calibration.evidence import gather
-from mavcompass.calibration.model import NO_HEADING_RAD
+from mavcompass.calibration.model import NO_HEADING_RAD, gain_parameters
 from mavcompass.calibration.mounting import (
     TURNED_RAD,
     as_set,
@@ -30,12 +29,20 @@ from mavcompass.calibration.mounting import (
 )
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import BEYOND_CHANCE, CalibrationResult, Limits, Mounting, Witness
+from mavcompass.calibration.rigid import DEFAULT_PRIOR
 from mavcompass.compass_parameters import is_calibrated, orientation_name
 from mavcompass.compass_parameters.orientations import NUMBERED_WITHIN_RAD, angle_between
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, euler_to_matrix, wrap_pi
-from mavcompass.heading.evidence import Evidence
+from mavcompass.heading.evidence import (
+    FLOOR_RAD,
+    CompassHeading,
+    Evidence,
+    compare,
+    compass_heading,
+    other_compasses,
+)
 from mavcompass.heading.fault_isolation import DOUBTED, RATHER_SOUND, FaultIsolation, isolate_faults
 from mavcompass.printable import named
 from mavcompass.track import Track
@@ -70,17 +77,39 @@ class Case:
     solve: Solve
     windows: Sequence[tuple[float, float]] | None = None
 
-    def others(self, result: CalibrationResult) -> dict[int, CalibrationResult]:
-        """Return the other compasses' results, but those that agree since they were given one heading."""
-        return {
-            i: other
-            for i, other in self.results.items()
-            if i != result.instance and other.true_heading is None
-        }
-
     def evidence(self, result: CalibrationResult) -> Evidence:
-        """Compare the heading by a result with all else that was recorded."""
-        return gather(self.track, result, self.others(result), self.earth, self.windows)
+        """Compare the heading by a result with all else that was recorded.
+
+        Another compass that has no result, or one that is not accepted, counts under the calibration in
+        force; so do those that agree since they were given one heading.
+        """
+        headings = []
+        for i in other_compasses(self.track, result.instance):
+            other = self.results.get(i)
+            mine = other is not None and other.accepted and other.true_heading is None
+            headings.append(self._calibrated(other) if mine and other else compass_heading(self.track, i))
+        found = compare(self.track, self._calibrated(result), headings, self.earth, self.windows)
+        given = "" if result.true_heading is None else result.true_heading.by
+        return replace(found, sources=tuple(s for s in found.sources if s.name != given))
+
+    def _calibrated(self, result: CalibrationResult) -> CompassHeading:
+        heading = compass_heading(self.track, result.instance, result.correction)
+        sigma = math.hypot(math.radians(result.repeatable_sigma_deg), FLOOR_RAD)
+        return replace(heading, sigma_rad=sigma, calibrated=True, by_itself=_by_itself(result))
+
+
+def _by_itself(result: CalibrationResult) -> dict[str, float]:
+    """Return how far a calibration's gains are from those of compasses, in sigmas.
+
+    What is mounted turned sees other parts of the field; fitted as it is set, its gains are no compass's.
+    """
+    prior = DEFAULT_PRIOR
+    vertical = math.hypot(prior.gain_sigma, prior.vertical_gain_sigma)
+    sigma = np.array([prior.gain_sigma, prior.gain_sigma, vertical, *3 * [prior.cross_sigma]])
+    if result.heading_error is not None:
+        sigma = np.hypot(sigma, np.sqrt(np.diag(result.heading_error.covariance)[3:9]))
+    away = gain_parameters(result.correction.inverse) - prior.gains
+    return {"gains": float(np.abs(away / sigma).max())}
 
 
 def judge(case: Case, result: CalibrationResult) -> CalibrationResult:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -72,7 +72,7 @@ class TrueHeading:
     def to_json(self) -> dict[str, Any]:
         """Return it as plain values."""
         heading, sigma = math.degrees(self.heading_rad) % 360.0, math.degrees(self.sigma_rad)
-        return {"heading_deg": _number(heading), "sigma_deg": _number(sigma)}
+        return {"heading_deg": heading, "sigma_deg": sigma}
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,10 +98,6 @@ class Witness:
     difference_deg: float
     sigma_deg: float
     contradicts: bool
-
-    def to_json(self) -> dict[str, Any]:
-        """Return it as plain values."""
-        return asdict(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,7 +131,6 @@ class CalibrationResult:
         instance: the compass, from 1. method: by which it was found.
         accepted: True where the correction is worth writing; `reasons` say why not, in a pilot's words.
         warnings: what the pilot should know although it is accepted.
-        raw_offset_mgauss: hard iron, (3,): raw = field + offset.
         correction: to put in force. in_force: the one that was.
         covariance_names, covariance: of the fitted quantities.
         not_observable: quantities this motion cannot determine; where they came from is in `warnings`.
@@ -160,7 +155,6 @@ class CalibrationResult:
     method: str
     accepted: bool
     reasons: tuple[str, ...]
-    raw_offset_mgauss: FloatArray
     correction: FieldCorrection
     in_force: FieldCorrection = IDENTITY
     warnings: tuple[str, ...] = ()
@@ -183,6 +177,11 @@ class CalibrationResult:
     already_right: bool = False
     true_heading: TrueHeading | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def raw_offset_mgauss(self) -> FloatArray:
+        """Return the hard iron, (3,): raw = field + offset."""
+        return -np.asarray(self.correction.offsets_mgauss)
 
     @property
     def repeatable_sigma_deg(self) -> float:
@@ -256,53 +255,34 @@ class CalibrationResult:
 
     def to_json(self) -> dict[str, Any]:
         """Return the entry of `compasses` in the calibration JSON; nan becomes null."""
-        c = self.correction
-        return {
+        given = {} if self.true_heading is None else {"true_heading": self.true_heading.to_json()}
+        said = {
             "instance": self.instance,
             "method": self.method,
             "accepted": self.accepted,
             "already_right": self.already_right,
-            **({} if self.true_heading is None else {"true_heading": self.true_heading.to_json()}),
-            "reasons": list(self.reasons),
-            "warnings": list(self.warnings),
-            "raw_offset_mgauss": _numbers(self.raw_offset_mgauss),
-            "correction": {
-                "offsets_mgauss": _numbers(c.offsets_mgauss),
-                "diagonals": _numbers(c.diagonals),
-                "off_diagonals": _numbers(c.off_diagonals),
-                "scale": _number(c.scale),
-                "motor_mgauss": _numbers(c.motor_mgauss),
-                "motor_source": c.motor_source,
-            },
-            "covariance": {
-                "names": list(self.covariance_names),
-                "matrix": [_numbers(row) for row in self.covariance],
-            },
-            "not_observable": list(self.not_observable),
-            "residual_rms_mgauss": _number(self.residual_rms_mgauss),
-            "heading_sigma_deg": _number(self.heading_sigma_deg),
-            "heading_error_budget_deg": {k: _number(v) for k, v in self.heading_budget_deg.items()},
-            "heading_change_deg": _number(self.heading_change_deg),
-            "heading_change_max_deg": _number(self.heading_change_max_deg),
-            "field_mgauss": {
-                "horizontal": _number(self.horizontal_mgauss),
-                "vertical": _number(self.vertical_mgauss),
-            },
+            **given,
+            "reasons": self.reasons,
+            "warnings": self.warnings,
+            "raw_offset_mgauss": self.raw_offset_mgauss,
+            "correction": self.correction,
+            "covariance": {"names": self.covariance_names, "matrix": self.covariance},
+            "not_observable": self.not_observable,
+            "residual_rms_mgauss": self.residual_rms_mgauss,
+            "heading_sigma_deg": self.heading_sigma_deg,
+            "heading_error_budget_deg": self.heading_budget_deg,
+            "heading_change_deg": self.heading_change_deg,
+            "heading_change_max_deg": self.heading_change_max_deg,
+            "field_mgauss": {"horizontal": self.horizontal_mgauss, "vertical": self.vertical_mgauss},
             "deviation_card": self._card_json(),
-            "evidence": [witness.to_json() for witness in self.evidence],
+            "evidence": self.evidence,
             "true_north": None if self.north is None else self.north.to_json(),
             "mounting": self.mounting.to_json(),
-            "positions": [
-                {
-                    "turned_deg": _number(p.turned_deg),
-                    "mean_mgauss": _numbers(p.mean_mgauss),
-                    "samples": p.samples,
-                    "residual_mgauss": _numbers(p.residual_mgauss),
-                }
-                for p in self.positions
-            ],
-            "parameters": {name: _number(value) for name, value in self.parameters.items()},
+            "positions": self.positions,
+            "parameters": {name: float(value) for name, value in self.parameters.items()},
         }
+        plain: dict[str, Any] = _plain(said)
+        return plain
 
     def deviation_card(self, headings: int = 8) -> DeviationCard:
         """Draw the deviation card of the correction that was in force, by this calibration."""
@@ -320,11 +300,8 @@ class CalibrationResult:
         except ValueError:
             # The correction in force shows one heading all round: there is no card of it.
             return None
-        return {
-            "compass_deg": _numbers(card.compass_deg),
-            "deviation_deg": _numbers(card.deviation_deg),
-            "coefficients_deg": {k: _number(v) for k, v in card.coefficients_deg.items()},
-        }
+        kept = ("compass_deg", "deviation_deg", "coefficients_deg")
+        return {name: getattr(card, name) for name in kept}
 
 
 def summary(result: CalibrationResult) -> str:
@@ -358,12 +335,17 @@ def before_and_after(result: CalibrationResult) -> str:
     return f"Compass {result.instance}: {' -> '.join(told) or '?'} deg off."
 
 
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
-
-
-def _numbers(values: Any) -> list[float | None]:
-    return [_number(v) for v in np.asarray(values, dtype=np.float64).ravel()]
+def _plain(value: Any) -> Any:
+    """Return a value as JSON has it: dataclasses and mappings by names, arrays as lists, nan as null."""
+    if is_dataclass(value):
+        return {one.name: _plain(getattr(value, one.name)) for one in fields(value)}
+    if isinstance(value, Mapping):
+        return {name: _plain(one) for name, one in value.items()}
+    if isinstance(value, np.ndarray | tuple | list):
+        return [_plain(one) for one in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return value
 
 
 def surest(results: Sequence[CalibrationResult]) -> CalibrationResult:

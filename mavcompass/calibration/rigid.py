@@ -365,7 +365,6 @@ class Blend:
     state: FloatArray
     covariance: FloatArray
     shared: FloatArray
-    cross_probability: tuple[float, float]
 
 
 def weigh_cross_terms(
@@ -384,17 +383,17 @@ def weigh_cross_terms(
     `shared` (P, M) are errors of the state, one sigma each, that are no cross terms and tell nothing of them.
     """
     shared = np.zeros((state.size, 0)) if shared is None else shared
-    horizontal, state, covariance, shared = _spike_and_slab(state, covariance, shared, [6], prior)
-    vertical, state, covariance, shared = _spike_and_slab(state, covariance, shared, [7, 8], prior)
-    return Blend(state, covariance + shared @ shared.T, shared, (horizontal, vertical))
+    for index in ([6], [7, 8]):
+        state, covariance, shared = _spike_and_slab(state, covariance, shared, index, prior)
+    return Blend(state, covariance + shared @ shared.T, shared)
 
 
 def _spike_and_slab(
     state: FloatArray, covariance: FloatArray, shared: FloatArray, index: list[int], prior: IronPrior
-) -> tuple[float, FloatArray, FloatArray, FloatArray]:
-    """Blend a Gaussian with itself under the narrow prior of `state[index]`; P(wide) and the blend."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Blend a Gaussian with itself under the narrow prior of `state[index]`."""
     if prior.own_cross_sigma >= prior.cross_sigma:  # known as a calibration has them: nothing to weigh
-        return 1.0, state, covariance, shared
+        return state, covariance, shared
     narrow2 = 1.0 / (prior.own_cross_sigma**-2.0 - prior.cross_sigma**-2.0)
     block = covariance[np.ix_(index, index)] + narrow2 * np.eye(len(index))
     value = state[index] - np.asarray(prior.gains)[np.array(index) - 3]
@@ -408,4 +407,4 @@ def _spike_and_slab(
     blended = state + spike * shift
     reduced = covariance - spike * gain @ covariance[index, :]
     spread = spike * (1.0 - spike) * np.outer(shift, shift)
-    return 1.0 - spike, blended, reduced + spread, shared - spike * gain @ shared[index]
+    return blended, reduced + spread, shared - spike * gain @ shared[index]

@@ -94,7 +94,7 @@ def _recorded_north(source: str) -> dict[int, TrueNorth]:
     """Return what all of a recording shows of each compass's true heading."""
     from mavcompass.api import read_track
     from mavcompass.errors import BadRecording
-    from mavcompass.heading.stream import heading_of_track
+    from mavcompass.heading.evidence import heading_of_track
 
     try:
         track = read_track(source)

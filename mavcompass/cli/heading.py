@@ -20,7 +20,7 @@ from mavcompass.installation.parts import require
 from mavcompass.vehicle.transport import Address, Recording, parse_address
 
 if TYPE_CHECKING:
-    from mavcompass.heading.stream import HeadingResult
+    from mavcompass.heading.one_compass import HeadingResult
     from mavcompass.heading.true_north import TrueNorth
     from mavcompass.track import Track
     from mavcompass.vehicle.heading_stream import LiveHeading
@@ -113,7 +113,7 @@ def command(
     redrawn = not (recorded or json_lines or output.json_file == "-")
     if recorded:
         from mavcompass.api import read_track
-        from mavcompass.heading.stream import heading_of_track
+        from mavcompass.heading.evidence import heading_of_track
 
         track = read_track(source)
         found = heading_of_track(track, None, instance, two_axis=two_axis)

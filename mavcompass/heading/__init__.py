@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 from mavcompass.installation.doors import door
 
 if TYPE_CHECKING:
+    from mavcompass.earth_field import earth_field_of as earth_field_of
     from mavcompass.heading.compute import level_heading as level_heading
     from mavcompass.heading.compute import tilt_compensated_heading as tilt_compensated_heading
-    from mavcompass.heading.stream import HeadingResult as HeadingResult
-    from mavcompass.heading.stream import earth_field_of as earth_field_of
-    from mavcompass.heading.stream import heading_of_track as heading_of_track
+    from mavcompass.heading.evidence import heading_of_track as heading_of_track
+    from mavcompass.heading.one_compass import HeadingResult as HeadingResult
     from mavcompass.heading.two_axis import two_axis_heading as two_axis_heading
 
 __getattr__, __dir__ = door(
@@ -19,9 +19,9 @@ __getattr__, __dir__ = door(
     {
         "level_heading": "compute",
         "tilt_compensated_heading": "compute",
-        "HeadingResult": "stream",
-        "earth_field_of": "stream",
-        "heading_of_track": "stream",
+        "HeadingResult": "one_compass",
+        "earth_field_of": "evidence",
+        "heading_of_track": "evidence",
         "two_axis_heading": "two_axis",
     },
 )

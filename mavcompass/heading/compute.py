@@ -70,35 +70,25 @@ def _specific_force(roll: FloatArray, pitch: FloatArray) -> FloatArray:
 
 
 def _blocks(field: FloatArray, acc: FloatArray) -> FloatArray:
-    """Work through (N, 3) rows block by block, column by column, without temporaries of full length."""
+    """Work through (N, 3) rows block by block, in place, without temporaries of full length."""
     heading = np.empty(len(field))
-    size = min(_BLOCK, max(len(field), 1))
-    across, north, east, spare = (np.empty(size) for _ in range(4))
-    for first in range(0, len(field), size):
-        rows = slice(first, min(first + size, len(field)))
-        n = rows.stop - rows.start
-        fx, fy, fz = (np.ascontiguousarray(field[rows, i]) for i in range(3))
-        ax, ay, az = (np.ascontiguousarray(acc[rows, i]) for i in range(3))
-        r, u, e, t = across[:n], north[:n], east[:n], spare[:n]
-        np.multiply(ay, ay, out=r)
-        np.multiply(az, az, out=t)
-        r += t
-        np.multiply(az, fy, out=e)
-        np.multiply(ay, fz, out=t)
-        e -= t
-        np.multiply(ax, ax, out=t)
-        t += r
-        np.sqrt(t, out=t)
-        e *= t
-        np.multiply(ay, fy, out=u)
-        np.multiply(az, fz, out=t)
-        u += t
-        u *= ax
-        r *= fx
-        r -= u
-        out = heading[rows]
-        np.arctan2(e, r, out=out)
-        np.add(out, 2.0 * np.pi, out=out, where=out < 0.0)
+    for first in range(0, len(field), _BLOCK):
+        rows = slice(first, first + _BLOCK)
+        (fx, fy, fz), (ax, ay, az) = field[rows].T.copy(), acc[rows].T.copy()
+        east = az * fy
+        east -= ay * fz
+        along = ay * fy
+        along += az * fz
+        along *= ax
+        for a in (ax, ay, az):
+            a *= a
+        ay += az
+        ax += ay
+        east *= np.sqrt(ax, out=ax)
+        fx *= ay
+        fx -= along
+        np.arctan2(east, fx, out=heading[rows])
+    np.add(heading, 2.0 * np.pi, out=heading, where=heading < 0.0)
     heading[heading >= 2.0 * np.pi] = 0.0  # -1e-17 + 2 pi rounds to 2 pi itself
     return heading
 

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from mavcompass.attitude import down_in_body
 from mavcompass.correction import FieldCorrection
-from mavcompass.earth_field import EarthField
+from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.frames import FloatArray, wrap_pi
-from mavcompass.heading.fault_isolation import HeadingSource
-from mavcompass.heading.one_compass import HeadingResult, heading_by_compass
+from mavcompass.heading.fault_isolation import HeadingSource, isolate_faults
+from mavcompass.heading.one_compass import UNKNOWN_YEAR, HeadingResult, heading_by_compass
 from mavcompass.heading.true_north import (
     ANTENNA_RAD,
     MOUNTED_RAD,
@@ -336,6 +336,33 @@ def compass_heading(track: Track, instance: int, correction: FieldCorrection | N
 def other_compasses(track: Track, instance: int) -> list[int]:
     """List the other compasses that have readings."""
     return [i for i in sorted(track.compasses) if i != instance and len(track.compasses[i].reported)]
+
+
+def heading_of_track(
+    track: Track, correction: FieldCorrection | None = None, instance: int = 1, *, two_axis: bool = False
+) -> HeadingResult:
+    """Compute a recording's tilt-compensated heading; what else tells it may widen its sigma or teach north.
+
+    Args:
+        track: the recording.
+        correction: applied to the raw field; None leaves the autopilot's own correction in force.
+        instance: the compass, counting from 1.
+        two_axis: use X and Y only and estimate Z from the world model's field length.
+
+    Raises BadRecording where the compass is missing, the accelerometer is dead, or two_axis is wanted and the
+    place is unknown.
+    """
+    found = heading_by_compass(track, correction, instance, two_axis)
+    others = [compass_heading(track, other) for other in other_compasses(track, instance)]
+    earth = earth_field_of(track, UNKNOWN_YEAR)
+    evidence = compare(track, CompassHeading.of(instance, found), others, earth)
+    beyond_rad = isolate_faults(evidence.sources).beyond_rad(0)
+    if (north := evidence.north) is None:
+        return found.widened(beyond_rad)
+    # What true north was learnt from is no witness against that; of the rest it is one as before.
+    learnt = {one.by for one in north.learnt}
+    rest = [source for source in evidence.sources if source.name not in learnt]
+    return found.widened(beyond_rad, isolate_faults(rest).beyond_rad(0)).with_north(north)
 
 
 def _autopilot_yaw(track: Track) -> Series | None:

@@ -72,7 +72,7 @@ class HeadingResult:
 def heading_by_compass(
     track: Track, correction: FieldCorrection | None = None, instance: int = 1, two_axis: bool = False
 ) -> HeadingResult:
-    """Compute the tilt-compensated heading by one compass; see `stream.heading_of_track`."""
+    """Compute the tilt-compensated heading by one compass; see `evidence.heading_of_track`."""
     compass = track.compass(instance)
     require_gravity(track.acc_mps2)
     world = earth_field_of(track, UNKNOWN_YEAR)
@@ -95,7 +95,18 @@ def heading_by_compass(
     late = turned_since_new(track, instance)
     sigma = _magnetic_sigma(field, down, leaning, magnetic, world, calibrated, two_axis, late)
     sigma[track.saturated(instance)] = math.pi
-    return _result(track, compass.time_s, magnetic, np.minimum(sigma, math.pi), world)
+    sigma = np.minimum(sigma, math.pi)
+    found = HeadingResult(compass.time_s, magnetic, sigma, sigma)
+    if world is None:
+        return found
+    true, grid = np.asarray(true_heading(magnetic, world)), None
+    if track.place is not None and len(track.place):
+        lat, lon, _ = middle_place(track.place.values)
+        grid = np.asarray(grid_heading(true, lat, lon))
+    sigma = np.hypot(sigma, world.declination_sigma_rad)
+    return replace(
+        found, sigma_rad=sigma, true_rad=true, grid_rad=grid, declination_rad=world.declination_rad
+    )
 
 
 def _is_calibrated(track: Track, instance: int, correction: FieldCorrection | None) -> bool:
@@ -140,24 +151,3 @@ def _magnetic_sigma(
     leaning = np.hypot(leaning, TILT_SIGMA_RAD)
     noise = np.hypot(z_sigma * tilt, doubt.scatter_mgauss)
     return heading_sigma_rad(doubt.sigma_rad(level[:, 0], level[:, 1]), usual, steep, leaning, noise, late)
-
-
-def _result(
-    track: Track, time_s: FloatArray, magnetic: FloatArray, sigma: FloatArray, world: EarthField | None
-) -> HeadingResult:
-    if world is None:
-        return HeadingResult(time_s, magnetic, sigma, sigma)
-    true = np.asarray(true_heading(magnetic, world))
-    grid = None
-    if track.place is not None and len(track.place):
-        lat, lon, _ = middle_place(track.place.values)
-        grid = np.asarray(grid_heading(true, lat, lon))
-    return HeadingResult(
-        time_s=time_s,
-        magnetic_rad=magnetic,
-        magnetic_sigma_rad=sigma,
-        sigma_rad=np.hypot(sigma, world.declination_sigma_rad),
-        true_rad=true,
-        grid_rad=grid,
-        declination_rad=world.declination_rad,
-    )

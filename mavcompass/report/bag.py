@@ -21,7 +21,8 @@ from mavcompass.attitude import levels
 from mavcompass.earth_field import earth_field_of
 from mavcompass.errors import MavCompassError
 from mavcompass.frames import FloatArray, euler_to_quaternion, level_to_body, rotate, tilt_from_acceleration
-from mavcompass.heading.stream import HeadingResult, heading_of_track
+from mavcompass.heading.evidence import heading_of_track
+from mavcompass.heading.one_compass import HeadingResult
 from mavcompass.installation.parts import require
 from mavcompass.logs.formats.ros import FLU_TO_FRD, MGAUSS_PER_TESLA
 from mavcompass.track import Track

@@ -22,11 +22,11 @@ import numpy as np
 from campaign import ended, options, rms, tried
 from made_up import CIRCLE, EARTH, SCENARIOS, Scenario, Truth, errors_deg, headings_of, vehicle_of
 
+from mavcompass.calibration.findings import judge
 from mavcompass.calibration.methods.four_positions_textbook import four_positions_textbook
 from mavcompass.calibration.observation import Dwell, FourPositionData, Step
 from mavcompass.calibration.observation.wire import unquantise
 from mavcompass.calibration.positions import solve_four_positions
-from mavcompass.calibration.positions.verdict import judge
 from mavcompass.frames import FloatArray
 
 

@@ -22,7 +22,7 @@ from made_up import rocking
 
 from mavcompass.earth_field import EarthField, earth_field
 from mavcompass.frames import FloatArray, level_to_body, wrap_pi
-from mavcompass.heading.stream import heading_of_track
+from mavcompass.heading.evidence import heading_of_track
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mavcompass.calibration.findings import judge, share_words
 from mavcompass.calibration.model import GAIN, HORIZONTAL
 from mavcompass.calibration.positions import WIDENED_BELOW
-from mavcompass.calibration.positions.verdict import judge, share_words
 from mavcompass.calibration.result import Limits
 from mavcompass.units import DEG_PER_RAD, RAD_PER_DEG
 

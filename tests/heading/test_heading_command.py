@@ -12,7 +12,7 @@ import pytest
 
 from mavcompass import api
 from mavcompass.cli.main import main
-from mavcompass.heading import stream
+from mavcompass.heading import evidence
 from mavcompass.track import Track
 
 TIMES = np.arange(0.0, 4.0, 0.5)
@@ -34,7 +34,7 @@ def flight(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
         north=None,
     )
     monkeypatch.setattr(api, "read_track", lambda source: Track(source=source))
-    monkeypatch.setattr(stream, "heading_of_track", lambda track, earth, instance, two_axis: found)
+    monkeypatch.setattr(evidence, "heading_of_track", lambda track, earth, instance, two_axis: found)
     return str(path)
 
 

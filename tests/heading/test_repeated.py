@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mavcompass.heading.doubt import turned_since_new, turned_vector
-from mavcompass.heading.stream import heading_of_track
+from mavcompass.heading.evidence import heading_of_track
 from mavcompass.track import MagSeries, Series, Track
 
 TIME = np.arange(600.0) * 0.1

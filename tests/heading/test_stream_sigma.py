@@ -13,7 +13,7 @@ from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
 from mavcompass.heading import one_compass
 from mavcompass.heading.doubt import UNKNOWN_CALIBRATION_SIGMA_RAD
-from mavcompass.heading.stream import heading_of_track
+from mavcompass.heading.evidence import heading_of_track
 from mavcompass.track import InForce, MagSeries, Series, Track
 
 TIME = np.arange(50.0) * 0.1

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from mavcompass.api import read_track
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.frames import FloatArray, wrap_pi
-from mavcompass.heading.stream import heading_of_track
+from mavcompass.heading.evidence import heading_of_track
 from mavcompass.heading.true_north import ANTENNA_RAD, MOUNTED_RAD, NorthSeen, TrueNorth, north_seen
 
 WORLD = EarthField((200.0, 30.0, 400.0))

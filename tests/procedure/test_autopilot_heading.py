@@ -140,7 +140,7 @@ def test_a_compass_that_stood_turned_is_held_against_the_autopilot_as_it_is_moun
 
 
 def test_an_autopilot_that_tells_no_attitude_is_held_against_nothing() -> None:
-    result = CalibrationResult(1, "four-positions", True, (), np.zeros(3), IDENTITY)
+    result = CalibrationResult(1, "four-positions", True, (), IDENTITY)
     with pytest.raises(PoorCalibration, match="did not tell its attitude"):
         yaw_error_rad(Track(), result, EarthField((200.0, 0.0, 400.0)), 0.0, 1.0)
 

@@ -27,7 +27,7 @@ from mavcompass.vehicle.links.simulated import SimulatedLink
 
 def what_was_learnt(vehicle: SimulatedAutopilot, **more: Any) -> CalibrationResult:
     setup = vehicle.board.compass_setups[0]
-    result = CalibrationResult(1, "running", True, (), np.zeros(3), setup.model.iron, in_force=setup.in_force)
+    result = CalibrationResult(1, "running", True, (), setup.model.iron, in_force=setup.in_force)
     return replace(result, heading_sigma_deg=0.2, **more)
 
 

@@ -27,7 +27,7 @@ OUTCOME = WriteOutcome(True, Path("u.json"), {"COMPASS_OFS_X": 60.0}, restore_co
 
 
 def report(**more: Any) -> CalibrationReport:
-    result = CalibrationResult(1, "four-positions", True, (), np.zeros(3), FOUND)
+    result = CalibrationResult(1, "four-positions", True, (), FOUND)
     identity = VehicleIdentity(1, 1, "ardupilot", "rover")
     return replace(CalibrationReport(identity, (result,), {}, Track(), (), 9.0), **more)
 

@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from mavcompass import messages as mav
@@ -55,8 +54,7 @@ def test_which_messages_bring_a_heading(autopilot: str, message: mav.Message, in
 def test_a_heading_has_the_doubt_of_what_was_just_written() -> None:
     seen = view()
     seen.hear(heard(mav.RawImu(time_usec=5_000_000, **FIELD)))
-    nothing = np.zeros(3)
-    bad = CalibrationResult(1, "sphere", False, ("no",), nothing, IDENTITY, heading_sigma_deg=0.2)
+    bad = CalibrationResult(1, "sphere", False, ("no",), IDENTITY, heading_sigma_deg=0.2)
     seen.calibrated([bad])
     assert seen.compasses[1].calibration_sigma_rad > math.radians(4.0), "what was not written changes nothing"
     seen.calibrated([replace(bad, accepted=True)])

@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mavcompass.calibration.methods.four_positions import calibrate_positions
 from mavcompass.calibration.observation import FourPositionData, observe
-from mavcompass.calibration.positions.verdict import calibrate_positions
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import UNCERTAIN, CalibrationResult, Position
 from mavcompass.correction import FieldCorrection
@@ -123,7 +123,6 @@ def level_result(
         accepted=False,
         reasons=(),
         warnings=("Turning on the level cannot show the Z offset: it was left as it is in force.", *warnings),
-        raw_offset_mgauss=-np.asarray(correction.offsets_mgauss),
         correction=correction,
         in_force=in_force,
         not_observable=("offset_z", "scale_z", "cross_xy", "cross_xz", "cross_yz", "mounting_yaw"),

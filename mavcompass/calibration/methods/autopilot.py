@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import numpy as np
-
 from mavcompass.calibration.methods import auto, ellipsoid
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import BEYOND_CHANCE, CalibrationResult, Witness
@@ -40,7 +38,6 @@ def calibrate(recorded: Recorded) -> CalibrationResult:
         own,
         method="autopilot",
         correction=correction,
-        raw_offset_mgauss=-np.asarray(correction.offsets_mgauss),
         evidence=(Witness("own-solution", apart_deg, own.heading_sigma_deg, contradicts),),
         warnings=(said, *own.warnings),
     )

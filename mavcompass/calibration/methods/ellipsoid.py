@@ -29,6 +29,7 @@ from mavcompass.calibration.model import (
     gain_matrix,
     gain_parameters,
 )
+from mavcompass.calibration.motion.honesty import claimed
 from mavcompass.calibration.motion.observed import Motion, motion_or_none
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult
@@ -52,7 +53,7 @@ def calibrate_witnessed(recorded: Recorded, motion: Motion | None) -> Calibratio
     """Calibrate, and claim no less than the heading scatter that is left in the motion."""
     total = recorded.earth.total_mgauss if recorded.earth is not None else None
     result = length_result(recorded, "ellipsoid", lambda raw: fit_ellipsoid(raw, total))
-    return result if motion is None else motion.claimed(result)
+    return result if motion is None else claimed(motion, result)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -256,7 +257,6 @@ def length_result(
         method=method,
         accepted=False,
         reasons=tuple(reasons),
-        raw_offset_mgauss=fit.centre_mgauss,
         correction=correction,
         in_force=in_force,
         covariance_names=CALIBRATED,

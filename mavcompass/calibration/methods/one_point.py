@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mavcompass.calibration.methods.four_positions import witnessed
+from mavcompass.calibration.methods.four_positions import calibrate_positions, witnessed
 from mavcompass.calibration.motion.observed import motion_or_none
 from mavcompass.calibration.observation import (
     Dwell,
@@ -26,7 +26,6 @@ from mavcompass.calibration.observation import (
     find_dwells,
     turn_record,
 )
-from mavcompass.calibration.positions.verdict import calibrate_positions
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult, TrueHeading
 from mavcompass.errors import PoorCalibration, UsageError

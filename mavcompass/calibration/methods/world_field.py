@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mavcompass.calibration.findings import findings
 from mavcompass.calibration.model import (
     ACCELEROMETER,
     CALIBRATED,
@@ -18,11 +19,10 @@ from mavcompass.calibration.model import (
     gain_matrix,
     gain_parameters,
 )
-from mavcompass.calibration.motion.findings import findings
-from mavcompass.calibration.motion.honesty import weigh_honestly
+from mavcompass.calibration.motion.honesty import scatter_left_rad, weigh_honestly
 from mavcompass.calibration.motion.left_out import without_disturbed_stop
 from mavcompass.calibration.motion.observed import Motion, observe_motion
-from mavcompass.calibration.positions.observability import hardly_known, unobserved
+from mavcompass.calibration.positions.four_positions import hardly_known, unobserved
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
@@ -53,7 +53,7 @@ def calibrate_motion(motion: Motion) -> CalibrationResult:
     held = held_in_force(honest.state, motion.fit.covariance[:9, :9], recorded.in_force, recorded.earth)
     honest = replace(honest, state=held)
     correction = correction_of(motion, honest.state)
-    honest = honest.at_least(motion.scatter_left_rad(correction))
+    honest = honest.at_least(scatter_left_rad(motion, correction))
     honest = honest.at_least(math.hypot(honest.error.rms_rad(), motion.load_doubt_rad))
     ratio = motion.halves_ratio()
     if ratio > _BY_CHANCE:
@@ -78,7 +78,6 @@ def calibrate_motion(motion: Motion) -> CalibrationResult:
         accepted=False,
         reasons=reasons,
         warnings=warnings,
-        raw_offset_mgauss=-np.asarray(correction.offsets_mgauss),
         correction=correction,
         in_force=recorded.in_force,
         covariance_names=CALIBRATED,

@@ -15,14 +15,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcompass.attitude import levels
 from mavcompass.calibration.model import HORIZONTAL, LAG, MOTOR, VERTICAL, HeadingError, heading_gradient
 from mavcompass.calibration.motion.fit import MotionFit, leaning_error
-from mavcompass.calibration.motion.sections import Sections, unsettled
-from mavcompass.calibration.observation.turning import TurnRecord
+from mavcompass.calibration.motion.observed import Motion
+from mavcompass.calibration.motion.sections import Sections, sparse_words, unsettled
+from mavcompass.calibration.result import CalibrationResult
 from mavcompass.calibration.rigid import DEFAULT_PRIOR, IronPrior, weigh_cross_terms
+from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray, wrap_pi
 from mavcompass.heading.compute import tilt_compensated_heading
-from mavcompass.track import Track
 
 _TIME_BLOCKS, _SECTORS = 10, 8
 # A ratio up to this is chance.
@@ -48,7 +50,6 @@ class Honesty:
         error: the heading's, all told. noise_rad: its rms by noise and prior alone.
         accelerometer_rad: the part of the accelerometer's own error, rms, which no further motion lowers.
         scatter_rad: what is left between sections, seen as a heading; 0 where chance explains it.
-        left_out_ratio: the larger of the ratios by time and by heading.
     """
 
     state: FloatArray
@@ -56,7 +57,6 @@ class Honesty:
     noise_rad: float
     accelerometer_rad: float
     scatter_rad: float
-    left_out_ratio: float
 
     def at_least(self, scatter_rad: float) -> Honesty:
         """Claim no less than a scatter that was seen."""
@@ -79,7 +79,7 @@ def weigh_honestly(sections: Sections, fit: MotionFit, prior: IronPrior = DEFAUL
     scatter = _scatter(sections, fit)
     final = max(widened, scatter)
     error = HeadingError(state[:11], covariance * (final / noise) ** 2 + leaning)
-    return Honesty(state, error, noise, HeadingError(state[:11], leaning).rms_rad(), scatter, ratio)
+    return Honesty(state, error, noise, HeadingError(state[:11], leaning).rms_rad(), scatter)
 
 
 def _by_time(sections: Sections) -> NDArray[np.intp]:
@@ -133,25 +133,41 @@ def _scatter(sections: Sections, fit: MotionFit) -> float:
     return math.sqrt(max(seen, float(share @ model)))
 
 
-def scatter_left_rad(
-    track: Track,
-    instance: int,
-    field_mgauss: FloatArray,
-    down: FloatArray,
-    record: TurnRecord,
-    sections: Sections,
-    fit: MotionFit,
-) -> float:
+def claimed(motion: Motion, result: CalibrationResult) -> CalibrationResult:
+    """Claim no less for a result than the heading scatter that its correction leaves in the motion."""
+    return result.at_least(scatter_left_rad(motion, result.correction), motion.recorded.limits)
+
+
+def scatter_left_rad(motion: Motion, correction: FieldCorrection) -> float:
+    """Return the heading scatter that a correction leaves, radians; 0 where nothing can tell.
+
+    That is where the gyro was recorded too seldom, and where roll and pitch are hardly known.
+    """
+    track, instance, source = motion.recorded.track, motion.recorded.instance, correction.motor_source
+    if sparse_words(motion.sections):
+        return 0.0
+    time = track.compasses[instance].time_s
+    load = None if source == "none" else track.motor_load(time, source)
+    field = correction.apply(track.raw_field(instance, motors=source != "none"), load)
+    down = (levels(track) if motion.reference is None else motion.reference.levels(track)).at(time)
+    scatter, motors = gyro_scatter_rad(motion, field, down), 0.0
+    if motion.load_source != "none":
+        undone = np.zeros(3)
+        if source == motion.load_source:
+            undone = -np.linalg.solve(correction.matrix, np.asarray(correction.motor_mgauss))
+        motors = motors_left_rad(motion.sections, motion.fit, motion.fit.state[MOTOR] - undone)
+    return math.hypot(scatter, motors)
+
+
+def gyro_scatter_rad(motion: Motion, field_mgauss: FloatArray, down: FloatArray) -> float:
     """Return the rms scatter of a corrected compass's heading about the gyro's, beyond noise; radians.
 
     Args:
-        track: the recording.
-        instance: the compass.
-        field_mgauss: its corrected field, (N, 3). down: which way is down in the body, (N, 3).
-        record: the gyro's turn.
-        sections: of the motion.
-        fit: tells the lag, the gyro's drift, and which sections are disturbed: these do not count.
+        motion: its fit tells the lag, the gyro's drift, and which sections are disturbed: these do not count.
+        field_mgauss: the corrected field, (N, 3). down: which way is down in the body, (N, 3).
     """
+    track, instance, record = motion.recorded.track, motion.recorded.instance, motion.record
+    sections, fit = motion.sections, motion.fit
     time = track.compasses[instance].time_s
     usable = np.isfinite(field_mgauss).all(axis=1)
     usable &= (time >= sections.start_s[0]) & (time <= sections.end_s[-1])

@@ -7,23 +7,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mavcompass.attitude import LASTS_S, levels
+from mavcompass.attitude import LASTS_S
 from mavcompass.calibration.model import MOTOR
 from mavcompass.calibration.motion.fit import MotionFit, fit_motion, level_headings, sigma_of
-from mavcompass.calibration.motion.honesty import motors_left_rad, scatter_left_rad
 from mavcompass.calibration.motion.sections import (
     LEAST_CIRCLE_RAD,
     ReferenceTurn,
     Sections,
     cut_sections,
     reference_turn,
-    sparse_words,
 )
 from mavcompass.calibration.observation import accelerometer_of, find_dwells, turn_record
 from mavcompass.calibration.observation.turning import TurnRecord
 from mavcompass.calibration.recorded import Recorded
-from mavcompass.calibration.result import CalibrationResult
-from mavcompass.correction import FieldCorrection, MotorSource
+from mavcompass.correction import MotorSource
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, circle_covered_rad, wrap_pi
 from mavcompass.track import Track
@@ -59,37 +56,6 @@ class Motion:
     fit: MotionFit
     load_source: MotorSource
     motors_told: bool = False
-
-    def claimed(self, result: CalibrationResult) -> CalibrationResult:
-        """Claim no less for a result than the heading scatter that its correction leaves in the motion."""
-        return result.at_least(self.scatter_left_rad(result.correction), self.recorded.limits)
-
-    def scatter_left_rad(self, correction: FieldCorrection) -> float:
-        """Return the heading scatter that a correction leaves, radians; 0 where nothing can tell.
-
-        That is where the gyro was recorded too seldom, and where roll and pitch are hardly known.
-        """
-        track, instance = self.recorded.track, self.recorded.instance
-        if sparse_words(self.sections):
-            return 0.0
-        time = track.compasses[instance].time_s
-        if correction.motor_source == "none":
-            field = correction.apply(track.raw_field(instance, motors=False))
-        else:
-            load = track.motor_load(time, correction.motor_source)
-            field = correction.apply(track.raw_field(instance), load)
-        down = (levels(track) if self.reference is None else self.reference.levels(track)).at(time)
-        left = scatter_left_rad(track, instance, field, down, self.record, self.sections, self.fit)
-        return math.hypot(left, self._motors_left_rad(correction))
-
-    def _motors_left_rad(self, correction: FieldCorrection) -> float:
-        """Return the heading scatter by the motors, as far as a correction does not take it out."""
-        if self.load_source == "none":
-            return 0.0
-        undone = np.zeros(3)
-        if correction.motor_source == self.load_source:
-            undone = -np.linalg.solve(correction.matrix, np.asarray(correction.motor_mgauss))
-        return motors_left_rad(self.sections, self.fit, self.fit.state[MOTOR] - undone)
 
     @property
     def loads(self) -> tuple[float, ...]:

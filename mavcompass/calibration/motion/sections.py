@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.attitude import Levels, levels
-from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD
+from mavcompass.calibration.observation.dwells import TILT_BIAS_SIGMA_RAD
 from mavcompass.calibration.observation.turning import (
     DRIFT_RADPS2,
     DRIFTS_FOR_S,
     GYRO_SCALE_SIGMA,
     TurnRecord,
 )
-from mavcompass.calibration.observation.wire import effective_count, hidden_in_runs
+from mavcompass.calibration.observation.wire import fresh_readings, hidden_in_runs
 from mavcompass.calibration.rigid import Readings
 from mavcompass.frames import FloatArray, level_to_body, quaternion_to_matrix, tilt_from_acceleration
 from mavcompass.track import Series, Track
@@ -182,7 +182,7 @@ def cut_sections(
     down = level.at(time - lag)
     edges, visit = _edges(time, angle, down, loads)
     first, last = edges[:-1], edges[1:]
-    fresh, _ = effective_count(raw)
+    fresh = fresh_readings(raw)
     count = (last - first).astype(float)
 
     def mean(values: FloatArray) -> FloatArray:

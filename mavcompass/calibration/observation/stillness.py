@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from bisect import insort
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -22,12 +23,13 @@ from mavcompass.calibration.observation.detector import (
     TILT_FLOOR,
 )
 from mavcompass.calibration.observation.dwells import (
+    UNSEEN_BIAS_RAD,
     Dwell,
     FourPositionData,
     Step,
+    accelerometer_sigma_rad,
     dwell_between,
 )
-from mavcompass.calibration.observation.tilt import UNSEEN_BIAS_RAD, accelerometer_sigma_rad
 from mavcompass.calibration.observation.turning import (
     GYRO_SCALE_SIGMA,
     TurnRecord,
@@ -151,25 +153,17 @@ def _cut_from_turn(record: TurnRecord, compass_time: FloatArray) -> list[tuple[f
 def turns_between(
     track: Track, dwells: list[Dwell], instance: int = 1, turn: TurnRecord | None = None
 ) -> list[Step]:
-    """Measure the turns between dwells with the gyro: from the mean angle of one to that of the next.
+    """Measure the turns between dwells of one recording with the gyro, from mean angle to mean angle.
 
     Raises PoorCalibration where the recording has no gyro.
     """
     record = turn or require_turn(track, instance)
-    lag = track.field_lag_s
-    times = track.compasses[instance].time_s
-    angles = []
-    for dwell in dwells:
-        rows = slice(*np.searchsorted(times, [dwell.start_s, dwell.end_s + 1e-9]))
-        inside = record.angle_at(times[rows] - lag)
-        middle = float(np.median(inside))
-        angles.append(middle + float(np.angle(np.exp(1j * (inside - middle)).mean())))
     steps = []
-    for first, second, a, b in zip(dwells[:-1], dwells[1:], angles[:-1], angles[1:], strict=True):
+    for first, second in pairwise(dwells):
         start, end = 0.5 * (first.start_s + first.end_s), 0.5 * (second.start_s + second.end_s)
         gyro = record.independent_sigma_rad(first.end_s, second.start_s)
         sigma = math.sqrt(gyro**2 + first.turned_sigma_rad**2 + second.turned_sigma_rad**2)
-        steps.append(Step(b - a, sigma, end - start))
+        steps.append(Step(second.turned_rad - first.turned_rad, sigma, end - start))
     return steps
 
 

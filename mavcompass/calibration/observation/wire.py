@@ -112,16 +112,14 @@ def _seen_variances() -> FloatArray:
     return np.array([s * s + 1.0 / 12.0 - _hidden_variance(float(s)) for s in _NOISE_GRID])
 
 
-def effective_count(values: FloatArray) -> tuple[NDArray[np.bool_], int]:
-    """Find the fresh readings among repeated ones.
+def fresh_readings(values: FloatArray) -> NDArray[np.bool_]:
+    """Mark the readings that differ from the one before, (N,).
 
     ArduPilot reads the compass at 10 Hz and repeats the value in RAW_IMU at the streamed rate.
-    Returns a mask (N,) of the readings that differ from the one before, and their number.
     """
     fresh = np.ones(len(values), dtype=bool)
-    if len(values) > 1:
-        fresh[1:] = np.any(values[1:] != values[:-1], axis=1)
-    return fresh, int(fresh.sum())
+    fresh[1:] = np.any(values[1:] != values[:-1], axis=1)
+    return fresh
 
 
 def white_noise(time: FloatArray, values: FloatArray, quantile: float = 0.5) -> FloatArray:

@@ -17,7 +17,7 @@ import numpy as np
 
 from mavcompass.calibration.model import ACCELEROMETER
 from mavcompass.calibration.observation import Dwell, FourPositionData, Step
-from mavcompass.calibration.observation.tilt import TILT_BIAS_SIGMA_RAD
+from mavcompass.calibration.observation.dwells import TILT_BIAS_SIGMA_RAD
 from mavcompass.calibration.observation.turning import GYRO_SCALE_SIGMA
 from mavcompass.calibration.positions import FourPositionsResult, solve_four_positions
 from mavcompass.correction import FieldCorrection

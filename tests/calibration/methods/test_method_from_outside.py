@@ -27,7 +27,6 @@ MIDDLE_OF_THE_TURN = '''
             method="middle-of-the-turn",
             accepted=False,
             reasons=("It knows nothing of its error.",),
-            raw_offset_mgauss=middle,
             correction=FieldCorrection(offsets_mgauss=tuple((-middle).tolist())),
             in_force=recorded.in_force,
         )

@@ -36,7 +36,6 @@ def result(
         "method": method,
         "accepted": True,
         "reasons": (),
-        "raw_offset_mgauss": np.zeros(3),
         "correction": FieldCorrection((0.0, -offset, 0.0)),
         "in_force": FieldCorrection(),
         "heading_sigma_deg": sigma_deg,

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from mavcompass import api
 from mavcompass.calibration import calibrate_track
+from mavcompass.calibration.methods.four_positions import calibrate_positions
 from mavcompass.calibration.observation import FourPositionData
-from mavcompass.calibration.positions.verdict import calibrate_positions
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.calibration.rigid import DEFAULT_PRIOR
 from mavcompass.correction import FieldCorrection

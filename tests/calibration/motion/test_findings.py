@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavcompass.calibration.model import GAIN, GYRO_SCALE, HORIZONTAL, MOTOR
-from mavcompass.calibration.motion.findings import (
+from mavcompass.calibration.findings import (
     findings,
     gain_words,
 )
+from mavcompass.calibration.model import GAIN, GYRO_SCALE, HORIZONTAL, MOTOR
 from mavcompass.calibration.result import Limits
 from mavcompass.frames import circle_covered_rad
 from mavcompass.units import RAD_PER_DEG

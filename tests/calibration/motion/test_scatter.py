@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from mavcompass.calibration.model import HEADINGS, HORIZONTAL, LAG, VERTICAL
-from mavcompass.calibration.motion.honesty import scatter_left_rad
+from mavcompass.calibration.motion.honesty import gyro_scatter_rad
 from mavcompass.calibration.motion.sections import Sections, unsettled
 from mavcompass.calibration.observation.turning import TurnRecord
+from mavcompass.calibration.recorded import Recorded
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray, level_to_body
 from mavcompass.track import InForce, MagSeries, Series, Track
@@ -72,10 +73,11 @@ def left_deg(
         state=state, sound=np.ones(K) if sound is None else sound, headings_rad=state[HEADINGS:]
     )
     down = np.tile([math.sin(lean_deg * DEG), 0.0, math.cos(lean_deg * DEG)], (400, 1))
-    found = scatter_left_rad(
-        Track(compasses={1: compass}), 1, field, down, record, sections or sections_of(), fit
+    recorded = Recorded(Track(compasses={1: compass}))
+    motion: Any = SimpleNamespace(
+        recorded=recorded, record=record, sections=sections or sections_of(), fit=fit
     )
-    return math.degrees(found)
+    return math.degrees(gyro_scatter_rad(motion, field, down))
 
 
 SWING = np.where(np.floor(TIME) % 2 == 0, 2.0, -2.0)  # second by second

@@ -21,16 +21,17 @@ from made_up_recordings import (
     with_reference,
 )
 
-from mavcompass.calibration.motion.findings import findings
+from mavcompass.calibration.findings import findings
 from mavcompass.calibration.motion.fit import (
+    ModelError,
     begin,
     leaning_error,
     level_headings,
+    section_variance,
     sigma_of,
 )
-from mavcompass.calibration.motion.honesty import weigh_honestly
+from mavcompass.calibration.motion.honesty import scatter_left_rad, weigh_honestly
 from mavcompass.calibration.motion.left_out import last_stretch, without_disturbed_stop
-from mavcompass.calibration.motion.misfit import ModelError, section_variance
 from mavcompass.calibration.motion.observed import Motion, observe_motion
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import Limits
@@ -112,10 +113,10 @@ def test_what_it_may_claim(motion: Motion, as_stored: AsStored) -> None:
     as_stored(
         {
             "error": honest.error.rms_rad(),
-            "one": [honest.noise_rad, honest.accelerometer_rad, honest.scatter_rad, honest.left_out_ratio],
+            "one": [honest.noise_rad, honest.accelerometer_rad, honest.scatter_rad],
             "told": told,
             "halves": motion.halves_ratio(),
-            "left": [motion.scatter_left_rad(correction) for correction in (IN_FORCE, IRON)],
+            "left": [scatter_left_rad(motion, correction) for correction in (IN_FORCE, IRON)],
             "change": change,
             "later": later.fit.state[:9],
             "stop": None if disturbed is None else disturbed.motion.fit.state[:9],

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mavcompass.calibration.observation.tilt import UNSEEN_BIAS_RAD, accelerometer_sigma_rad
+from mavcompass.calibration.observation.dwells import UNSEEN_BIAS_RAD, accelerometer_sigma_rad
 from mavcompass.frames import FloatArray
 
 TURNED = np.radians([0.0, 90.0, 180.0, 270.0])

@@ -9,7 +9,7 @@ import pytest
 
 from mavcompass.calibration.observation import StillnessDetector, find_dwells
 from mavcompass.calibration.observation.detector import RollingWitness
-from mavcompass.calibration.observation.tilt import tilt_during
+from mavcompass.calibration.observation.dwells import tilt_during
 from mavcompass.frames import FloatArray
 from mavcompass.simulation.physics.motion import rotation_matrix
 from mavcompass.track import MagSeries, Series, Track

@@ -11,6 +11,7 @@ import pytest
 from mavcompass.calibration.observation import (
     Dwell,
     assemble,
+    dwell_between,
     find_dwells,
     observe,
     turn_record,
@@ -100,8 +101,8 @@ def test_a_turn_is_as_sure_as_its_gyro_and_both_ends() -> None:
     track = recorded(FOUR)
     turn = record(FOUR)
     plain: dict[str, Any] = {"mean_mgauss": np.zeros(3), "covariance_mgauss2": np.eye(3)}
-    first = Dwell(0.0, 2.0, **plain, turned_sigma_rad=0.03)
-    second = Dwell(6.0, 7.0, **plain, turned_sigma_rad=0.04)
+    first = Dwell(0.0, 2.0, **plain, turned_rad=0.0, turned_sigma_rad=0.03)
+    second = Dwell(6.0, 7.0, **plain, turned_rad=math.pi / 2.0, turned_sigma_rad=0.04)
     (step,) = turns_between(track, [first, second], 1, turn)
     gyro = turn.independent_sigma_rad(2.0, 6.0)
     assert step.sigma_rad == pytest.approx(math.sqrt(0.05**2 + gyro**2)) and gyro > 0.0
@@ -110,8 +111,7 @@ def test_a_turn_is_as_sure_as_its_gyro_and_both_ends() -> None:
 
 def test_a_position_that_swings_has_its_mean_angle() -> None:
     track = recorded(np.where(TIME < 2.0, 2.0, np.where(TIME < 4.0, -4.0, 0.0)))
-    plain: dict[str, Any] = {"mean_mgauss": np.zeros(3), "covariance_mgauss2": np.eye(3)}
-    dwells = [Dwell(0.0, 2.0, **plain), Dwell(6.0, 7.0, **plain)]
+    dwells = [dwell_between(track, 1, 0.0, 2.0), dwell_between(track, 1, 6.0, 7.0)]
     (step,) = turns_between(track, dwells)
     # From 0 to 4 degrees on the average 2; afterwards it stands at -4.
     assert math.degrees(step.angle_rad) == pytest.approx(-6.0, abs=0.1)

@@ -16,8 +16,7 @@ from mavcompass.calibration.observation import (
     turn_record,
     turns_between,
 )
-from mavcompass.calibration.observation.dwells import dwell_between
-from mavcompass.calibration.observation.tilt import tilt_during
+from mavcompass.calibration.observation.dwells import dwell_between, tilt_during
 from mavcompass.track import Track
 
 AsStored = Callable[[Any], None]

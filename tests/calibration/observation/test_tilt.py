@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavcompass.calibration.observation.tilt import tilt_during
+from mavcompass.calibration.observation.dwells import tilt_during
 from mavcompass.frames import FloatArray
 from mavcompass.track import Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mavcompass.calibration.observation.wire import (
-    effective_count,
+    fresh_readings,
     unquantise,
     white_noise,
 )
@@ -66,10 +66,8 @@ def test_near_zero_noise_is_cut_both_ways() -> None:
 
 def test_fresh_is_what_differs_from_the_reading_before() -> None:
     readings = np.array([[1.0, 2.0], [1.0, 2.0], [1.0, 3.0], [0.0, 3.0], [0.0, 3.0]])
-    mask, count = effective_count(readings)
-    assert mask.tolist() == [True, False, True, True, False] and count == 3
-    assert effective_count(readings[:1])[1] == 1 and effective_count(readings[:2])[1] == 1
-    assert effective_count(readings[:0])[1] == 0
+    assert fresh_readings(readings).tolist() == [True, False, True, True, False]
+    assert [fresh_readings(readings[:n]).tolist() for n in (0, 1, 2)] == [[], [True], [True, False]]
 
 
 def test_white_noise_is_seen_beside_smooth_motion() -> None:

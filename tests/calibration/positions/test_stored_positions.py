@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from calibration_worlds import FIELD, Iron, four_positions
 
+from mavcompass.calibration.methods.four_positions import calibrate_positions
 from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.positions import PositionProblem, next_pose, solve_four_positions
 from mavcompass.calibration.positions.problem import fit_positions, weigh_disturbances
-from mavcompass.calibration.positions.verdict import calibrate_positions
 from mavcompass.calibration.rigid import DEFAULT_PRIOR
 from mavcompass.correction import FieldCorrection
 
@@ -95,7 +95,6 @@ def test_a_result(data: FourPositionData, world: bool, as_stored: AsStored) -> N
         {
             "budget": found.budget_rad,
             "consistency": found.consistency,
-            "cross": found.cross_probability,
             "suspects": found.suspects,
             "disturbance": found.disturbance_mgauss,
             "sigma": [found.heading_sigma_rad, found.heading_error.rms_rad(0.2, -0.1)],

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
 import pytest
 
 from mavcompass import messages as mav
@@ -36,7 +35,6 @@ def result(instance: int = 1, accepted: bool = True) -> CalibrationResult:
         method="four-positions",
         accepted=accepted,
         reasons=() if accepted else ("The field is far too strong here.",),
-        raw_offset_mgauss=np.zeros(3),
         correction=CORRECTION,
         residual_rms_mgauss=1.5,
         heading_sigma_deg=0.7,

@@ -168,7 +168,6 @@ def learnt(service: RunningService) -> Learnt:
         method="running",
         accepted=True,
         reasons=(),
-        raw_offset_mgauss=np.zeros(3),
         correction=setup.model.iron,
         in_force=setup.in_force,
         heading_sigma_deg=0.2,

@@ -60,7 +60,7 @@ def results(tmp_path: Path, history: History, worker: NoWorker) -> Results:
 def found(accepted: bool = True, sigma: float = 0.42, **more: Any) -> CalibrationResult:
     reasons = () if accepted else ("It hardly turned.",)
     return CalibrationResult(
-        1, "four-positions", accepted, reasons, np.zeros(3), IDENTITY, heading_sigma_deg=sigma, **more
+        1, "four-positions", accepted, reasons, IDENTITY, heading_sigma_deg=sigma, **more
     )
 
 
