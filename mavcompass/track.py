@@ -148,30 +148,31 @@ def uncut(values: FloatArray, step: float) -> FloatArray:
     return np.asarray(values + 0.5 * step * np.sign(values))
 
 
-def saturated(values: FloatArray) -> NDArray[np.bool_]:
+def saturated(values: FloatArray, step: float = 0.0) -> NDArray[np.bool_]:
     """Mark readings (N, 3) at the end of what the sensor can show, on any axis, (N,).
 
     A field that turns shows its highest value 2.4 times as often as the next below, at most; what the sensor
     cuts off piles up there. Less than half of a turn lies beyond a value on a side of its middle: where more
-    readings do, the axis rests. A repeated reading counts once.
+    readings do, the axis rests. A repeated reading counts once. Values are counted in steps of the readings:
+    where a correction was undone, and another after it, hardly two are equal.
     """
-    values = np.round(values, 3)
-    known, at_end = values[np.isfinite(values).all(axis=1)], np.zeros(len(values), dtype=bool)
-    # So few are chance: no need to look which of them are repeated.
-    if (
-        not len(known)
-        or max((known == end).sum(axis=0).max() for end in (known.min(axis=0), known.max(axis=0)))
-        <= _CHANCE_SIGMAS**2
-    ):
-        return at_end
-    different = np.unique(known, axis=0)
+    values, step = np.round(values, 3), max(step, 1e-3)
+    finite, at_end = np.isfinite(values).all(axis=1), np.zeros(len(values), dtype=bool)
+    once: NDArray[np.intp] | None = None
     for axis, sign in itertools.product(range(3), (-1.0, 1.0)):
-        shown, count = np.unique(sign * different[:, axis], return_counts=True)
-        if 2 * count[-1] > count.sum():
+        shown = sign * values[:, axis]
+        below = np.floor((shown[finite].max(initial=-np.inf) - shown) / step + 1e-6)
+        # So few are chance: no need to look which of them are repeated.
+        if (below == 0.0).sum() <= _CHANCE_SIGMAS**2:
             continue
-        usual = _HIGHEST * count[-2]
-        if count[-1] > usual + _CHANCE_SIGMAS * math.sqrt(count[-1] + _HIGHEST * usual):
-            at_end |= sign * values[:, axis] == shown[-1]
+        if once is None:
+            once = np.flatnonzero(finite)[np.unique(values[finite], axis=0, return_index=True)[1]]
+        _, count = np.unique(below[once], return_counts=True)
+        if 2 * count[0] > count.sum():
+            continue
+        usual = _HIGHEST * count[1]
+        if count[0] > usual + _CHANCE_SIGMAS * math.sqrt(count[0] + _HIGHEST * usual):
+            at_end |= below == 0.0
     return at_end
 
 
@@ -261,7 +262,7 @@ class Track:
 
     def saturated(self, instance: int = 1) -> NDArray[np.bool_]:
         """Mark the readings of one compass at the end of what its sensor can show, (N,)."""
-        return saturated(self.raw_field(instance, motors=False))
+        return saturated(self.raw_field(instance, motors=False), self.compasses[instance].quantum_mgauss)
 
     def corrected_field(self, instance: int = 1) -> FloatArray:
         """Return the readings (N, 3) of one compass by the autopilot's calibration, body axes, milligauss.

@@ -160,10 +160,23 @@ def test_what_a_sensor_cuts_off_piles_up_and_a_turns_own_end_does_not(noise: flo
     yaw = np.repeat(np.linspace(0.0, 4.0 * math.pi, 1500), 2)  # each reading told twice
     field = np.stack([220.0 * np.cos(yaw) + 60.0, -220.0 * np.sin(yaw), 0.0 * yaw - 430.2], axis=1)
     whole = np.repeat(np.round((field[::2] + rng.normal(0.0, noise, (1500, 3))) / step) * step, 2, axis=0)
-    assert not saturated(whole).any()
-    assert not saturated(whole[:200]).any() and not saturated(whole[:1]).any()
+    assert not saturated(whole, step).any()
+    assert not saturated(whole[:200], step).any() and not saturated(whole[:1]).any()
     bumps = np.where(rng.random(3000) < 0.05, np.round(rng.uniform(0.0, 9.0, 3000)), 0.0)
-    assert not saturated(np.stack([whole[:, 0], whole[:, 1], bumps - 430.0], axis=1)).any()
+    assert not saturated(np.stack([whole[:, 0], whole[:, 1], bumps - 430.0], axis=1), step).any()
     for end in (200.0, 260.0):
         cut = np.minimum(whole, [end, 1e3, 1e3])
-        assert (saturated(cut) == (cut[:, 0] == end)).all()
+        assert (saturated(cut, step) == (cut[:, 0] == end)).all()
+
+
+def test_a_written_correction_moves_the_steps_of_readings_and_no_end_of_the_range() -> None:
+    """A hovering copter at five headings, the last after the write: hardly two readings of it are equal."""
+    rng, old = np.random.default_rng(3), FieldCorrection((5.0, 13.0, -18.0))
+    new = FieldCorrection((-89.0, 187.0, 34.0), (0.990, 0.993, 0.992), (-0.0006, 0.0011, -0.0021))
+    yaw = np.repeat(np.arange(5.0), 60) + rng.normal(0.0, 0.02, 300)
+    level = np.stack([220.0 * np.cos(yaw), -220.0 * np.sin(yaw), np.full(300, -567.0)], axis=1)
+    raw = level + np.array([80.0, -190.0, 0.0]) + rng.normal(0.0, 0.3, (300, 3))
+    told = np.trunc(np.concatenate([old.apply(raw[:240]), new.apply(raw[240:])]))
+    steps = (InForce(-np.inf, old), InForce(240.0, new))
+    compass = MagSeries(1, Series.of(np.arange(300.0), told), steps, quantum_mgauss=1.0, truncated=True)
+    assert not Track(compasses={1: compass}).saturated(1).any()
