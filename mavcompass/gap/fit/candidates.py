@@ -22,7 +22,7 @@ from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.replay.noise import group_values
 from mavcompass.gap.replay.nuisance import REFERENCE_YAW, WORLD_FIELD, yaw_starts
 from mavcompass.gap.tables import Kind, tables, usual
-from mavcompass.simulation.effects.effect import Effect, Misfit, Signals
+from mavcompass.simulation.effects.effect import GROUPS, Effect, Misfit, Signals
 from mavcompass.simulation.physics.signals import Reading
 
 
@@ -57,12 +57,8 @@ class Candidate:
 
 def misfit_of(problem: Problem, signals: Signals) -> Misfit:
     """Return what simulated signals leave, for effects that look for their own first guesses."""
-    residual = Reading(
-        *(
-            group_values(problem.replay.measured, g) - group_values(signals.reading, g)
-            for g in ("mag", "acc", "gyro")
-        )
-    )
+    measured, made = problem.replay.measured, signals.reading
+    residual = Reading(*(group_values(measured, g) - group_values(made, g) for g in GROUPS))
     rows = np.zeros(problem.rows.size, dtype=np.bool_)
     rows[problem.index] = True
     return Misfit(signals, residual, rows, problem.sigma_mgauss, len(yaw_starts(problem.nuisances)) > 1)

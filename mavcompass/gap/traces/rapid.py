@@ -213,8 +213,9 @@ def find_rapid(readings: Readings, baseline: Readings | None, least_mgauss: floa
     clear = clear and line.variance_mgauss2 > least_mgauss**2 and not _is_in(baseline, line)
     toggling = _toggling(readings, fast)
     alternates = toggling.variance_mgauss2 > (1.0 - usual.rapid.simpler) * line.variance_mgauss2
+    likeliest = toggling if alternates else line
     if excess <= least_mgauss**2:  # the baseline is as loud, by something else
-        return None if not clear else toggling if alternates else line
+        return likeliest if clear else None
 
     def share(rapid: Rapid) -> float:
         if rapid.variance_mgauss2 <= least_mgauss**2:
@@ -226,7 +227,7 @@ def find_rapid(readings: Readings, baseline: Readings | None, least_mgauss: floa
     if share(best) > usual.rapid.share:
         return best
     if clear and (alternates or best is line):
-        return toggling if alternates else line
+        return likeliest
     if share(best) < usual.rapid.beside_noise or baseline is None:
         return None
     return best if excess_variance(readings.without(best.change_mgauss), baseline) > 0.0 else None

@@ -242,16 +242,13 @@ def scoreboard(cases: Sequence[Case]) -> dict[str, tuple[int, int]]:
     def count(chosen: list[Case], hit: Callable[[Case], bool]) -> tuple[int, int]:
         return sum(map(hit, chosen)), len(chosen)
 
+    def of(tier: Tier, low: float, high: float = math.inf) -> list[Case]:
+        return [c for c in cases if c.label.tier == tier and low <= c.separation < high]
+
     none = [c for c in cases if c.label.tier == "none"]
-    single = [c for c in cases if c.label.tier == "single" and math.isfinite(c.separation)]
     traces = [c for c in cases if c.label.tier == "single" and not math.isfinite(c.separation)]
-    pairs = [c for c in cases if c.label.tier == "pair"]
-    withheld = [c for c in cases if c.label.tier == "withheld"]
-    clear = [c for c in single if c.separation >= 9.0]
-    middling = [c for c in single if 5.0 <= c.separation < 9.0]
-    both = [c for c in pairs if c.separation >= 9.0]
-    new = [c for c in withheld if c.separation >= 12.0]
-    outside = [c for c in cases if c.label.tier == "outside" and c.separation >= 12.0]
+    clear, middling, both = of("single", 9.0), of("single", 5.0, 9.0), of("pair", 9.0)
+    new, outside = of("withheld", 12.0), of("outside", 12.0)
     told = [c for c in new if c.own_separation >= 9.0]
     oracle = [c for c in new if math.isfinite(c.oracle_shrink)]
     claimed = [c for c in cases if math.isfinite(c.true_shrink) and math.isfinite(c.answer.shrink_ci95[0])]
