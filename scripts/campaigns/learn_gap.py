@@ -167,7 +167,7 @@ def examined(of: Wanted) -> Line | None:
     return {
         "case": list(of), "maker": of.maker, "tier": of.tier, "truth": list(label.ids),
         "beside": sorted(evidence.beside_ids), "kind": known.kind, "gain": known.gain,
-        "found": bool(posterior.best.fit.terms) or evidence.beside,
+        "found": bool(posterior.best.fit.terms or evidence.beside_ids),
         "values": known.values, "rows": evidence.identified.first.count,
         "overdispersion": posterior.overdispersion,
         "separation": score(label, nothing, None).separation if of.tier in APART else None,

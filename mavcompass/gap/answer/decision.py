@@ -81,7 +81,7 @@ def decide(evidence: Evidence) -> Answer:
     relieved = posterior.nothing.strain - posterior.best.strain
     confirmed = known.held_out_gain + relieved > 0.0 or any(c.nominal > c.floor for c in alone)
     healthy = table.healthy.p_of_gain(known.gain) > levels.gain
-    silent = not evidence.beside and (not fit.terms or healthy or not confirmed)
+    silent = not evidence.beside_ids and (not fit.terms or healthy or not confirmed)
     # Names beside a yaw that has to wander are borne out by no heading.
     wander_deg = 0.0 if silent else yaw_wander_deg(identified.problem, fit, floor, heading)
     if silent:

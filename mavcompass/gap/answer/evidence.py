@@ -54,13 +54,8 @@ class Evidence:
     faults: tuple[Cause, ...]
 
     @property
-    def beside(self) -> bool:
-        """Tell whether something is named besides the fitted effects: faults, scatter, other traces."""
-        return bool(self.beside_ids)
-
-    @property
     def beside_ids(self) -> frozenset[str]:
-        """Return what is named besides the fitted effects."""
+        """Return what is named besides the fitted effects: faults, scatter, other traces."""
         scatter = self.remainder.scatter
         ids = {cause.effect for cause in (*self.faults, *self.traces.causes)}
         return frozenset(ids if scatter is None else ids | {scatter.effect})
