@@ -12,14 +12,14 @@ ROOT = Path(__file__).parents[1]
 LINES = {
     "package gap": (13_609, 10_500),
     "package simulation": (7_858, 5_800),
-    "package attitude calibration heading": (9_229, 5_400),
+    "package attitude calibration heading": (9_125, 5_400),
     "package vehicle messages enums.py": (7_743, 5_200),
     "package procedure": (6_299, 4_400),
     "package service": (5_285, 4_100),
     "package logs": (4_497, 3_600),
     "package cli": (3_985, 2_900),
-    "package": (65_920, 46_500),
-    "tests": (44_480, 29_000),
+    "package": (65_816, 46_500),
+    "tests": (44_501, 29_000),
     "scripts benchmarks/compassbench": (1_565, 1_000),
     "scripts": (10_081, 4_400),
 }

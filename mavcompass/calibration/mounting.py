@@ -94,8 +94,7 @@ def likely_rotations(recorded: Recorded, reach: float) -> list[tuple[FloatArray,
         return replace(motion.sections, mean_mgauss=raw @ rotation.T)
 
     def cost(rotation: FloatArray) -> float:
-        known = (recorded.earth, recorded.prior, motion.load_source, recorded.in_force)
-        first = begin(turned(rotation), *known)
+        first = begin(recorded, turned(rotation), motion.load_source)
         return first.cost(swing) + 0.5 * float((first.state[OFFSET] ** 2).sum()) / _OFFSET_MGAUSS**2
 
     def tried(rotation: FloatArray) -> tuple[FloatArray, float, MotionFit]:

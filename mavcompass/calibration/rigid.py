@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -163,8 +163,7 @@ class Readings:
         return (scale * turn + x[GYRO_BIAS] * lasted_s - np.diff(self.turned_rad)) / sigma, jacobian
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PriorRows:
+class PriorRows(NamedTuple):
     """Hold what is known beforehand, whitened: rows (Q, P) times the state are `wanted` (Q,), each within 1.
 
     places: of the state's number that a row holds, (Q - 1,); the last holds the vertical gain by the others.
@@ -183,7 +182,7 @@ def prior_rows(
     readings: int,
     prior: IronPrior,
     earth: EarthField | None,
-    in_force: FieldCorrection | None,
+    in_force: FieldCorrection,
     vertical_mgauss: float,
     gyro_sigma: tuple[float, float],
     motor_sigma: float,
@@ -217,8 +216,7 @@ def prior_rows(
     else:
         held.append(([3, 4], 1.0, _SCALE_SIGMA))
         held.append((VERTICAL, vertical_mgauss, max(0.5 * abs(vertical_mgauss), 50.0)))
-        offset = -in_force.offsets_mgauss[2] if in_force is not None else 0.0
-        held.append((2, offset, prior.vertical_offset_sigma_mgauss))
+        held.append((2, -in_force.offsets_mgauss[2], prior.vertical_offset_sigma_mgauss))
     if first_heading is not None:
         held.append((HEADINGS, *first_heading))
     rows, wanted = np.zeros((len(held) + 1, HEADINGS + readings)), np.zeros(len(held) + 1)
@@ -333,11 +331,6 @@ class Fit:
         return 0.5 * float(self.whitened @ self.whitened)
 
     @property
-    def chance(self) -> float:
-        """Return the probability that chance leaves more of what was measured."""
-        return chance_of_more(self.chi_square, self.freedom)
-
-    @property
     def chi_square(self) -> float:
         """Return the squared whitened residuals of what was measured."""
         measured = self.whitened[: 4 * len(self.sound) - 1]
@@ -349,28 +342,26 @@ class Fit:
         rows = self.jacobian[: 4 * len(self.sound) - 1]
         return max(round(len(rows) - float(((rows @ self.covariance) * rows).sum())), 0)
 
-    def common_error(self, by: FloatArray) -> FloatArray:
-        """Return what errors common to all readings, one sigma each in the field, add to the state, (P, M).
+    @property
+    def chance(self) -> float:
+        """Return the probability that chance leaves more of what was measured."""
+        return chance_of_more(self.chi_square, self.freedom)
 
-        They are `by`, (K, 3, M): no agreement between the readings shows them, no further one averages them.
+    def common_error(self, by: FloatArray) -> FloatArray:
+        """Return what errors common to all readings, one sigma each, (K, 3, M), add to the state, (P, M).
+
+        No agreement between the readings shows them, no further one averages them out.
         """
         rows = (self.roots @ by).reshape(-1, by.shape[2])
         return np.asarray(self.covariance @ self.jacobian[: len(rows)].T @ rows)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Blend:
-    """Hold a fit as far as its cross terms are believed; `shared` errors, (P, M), are in its covariance."""
-
-    state: FloatArray
-    covariance: FloatArray
-    shared: FloatArray
-
-
 def weigh_cross_terms(
-    state: FloatArray, covariance: FloatArray, prior: IronPrior, shared: FloatArray | None = None
-) -> Blend:
+    state: FloatArray, covariance: FloatArray, prior: IronPrior, shared: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Weigh 'there are cross terms' against 'there are a sensor's own at the most' and blend the two.
+
+    Returns the state, its covariance with the shared errors in it, and these.
 
     Both are one Gaussian: with the narrow prior is the fit with one more observation, that they are 0 within
     `narrow`, 1 / own^2 = 1 / cross^2 + 1 / narrow^2. The odds are the density of that observation after over
@@ -382,10 +373,9 @@ def weigh_cross_terms(
 
     `shared` (P, M) are errors of the state, one sigma each, that are no cross terms and tell nothing of them.
     """
-    shared = np.zeros((state.size, 0)) if shared is None else shared
     for index in ([6], [7, 8]):
         state, covariance, shared = _spike_and_slab(state, covariance, shared, index, prior)
-    return Blend(state, covariance + shared @ shared.T, shared)
+    return state, covariance + shared @ shared.T, shared
 
 
 def _spike_and_slab(

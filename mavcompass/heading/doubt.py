@@ -162,22 +162,6 @@ def _place(level_mgauss: NDArray[np.complex128] | complex) -> NDArray[np.intp]:
     return np.asarray(np.floor(sector).astype(np.intp) % _SECTORS * _RINGS + ring)
 
 
-def heading_sigma_rad(
-    calibration_rad: FloatArray | float,
-    horizontal_mgauss: FloatArray | float,
-    vertical_mgauss: FloatArray | float,
-    tilt_sigma_rad: FloatArray | float,
-    noise_mgauss: FloatArray | float = 0.0,
-    late_rad: FloatArray | float = 0.0,
-) -> FloatArray:
-    """Combine what a heading may be off by, (...): calibration, noise, tilt by the dip, lateness."""
-    horizontal = np.maximum(horizontal_mgauss, 1e-9)
-    tilt = np.asarray(vertical_mgauss) / horizontal * tilt_sigma_rad
-    noise = np.asarray(noise_mgauss) / horizontal
-    square = np.square(calibration_rad) + noise**2 + tilt**2 + np.square(late_rad)
-    return np.asarray(np.minimum(np.sqrt(square), math.pi))
-
-
 def turned_vector(track: Track, time_s: FloatArray, usual: bool = True) -> FloatArray:
     """Return the sum of the gyro's turns up to some times, (N, 3), radians; zeros without a gyro.
 

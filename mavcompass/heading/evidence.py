@@ -262,8 +262,9 @@ def _elsewhere(moments: _Moments, instance: int, north: Iterable[NorthSeen]) -> 
         yield HeadingSource.elsewhere(seen.by, float(wrap_pi(seen.turn_rad - declination_rad)), doubt)
     steered_by = steering_source(track.autopilot, track.parameters)
     elsewhere = steered_by is not None and steered_by != instance and steered_by not in track.compasses
-    yaw = _autopilot_yaw(track)
-    if elsewhere and steered_by != "gps" and yaw is not None:
+    attitude = track.attitude_rad
+    if elsewhere and steered_by != "gps" and attitude is not None:
+        yaw = Series(attitude.time_s, np.asarray(attitude.values)[:, 2])
         told = _paired(yaw, moments.time_s - track.field_lag_s) - declination_rad
         if (found := _deviation(moments, told)) is not None:
             doubt = math.hypot(_AUTOPILOT_RAD, found[1], moments.declination_sigma_rad)
@@ -286,7 +287,8 @@ def _acceleration(moments: _Moments, velocity: Series) -> Iterator[HeadingSource
     time = acc.time_s[np.isfinite(acc.values).all(axis=1)]
     force = np.asarray(acc.values)[np.isfinite(acc.values).all(axis=1)]
     down = down_in_body(track, time)
-    ahead = _ahead(down)
+    ahead = np.array([1.0, 0.0, 0.0]) - down[:, :1] * down  # the nose, in the level
+    ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
     level = (force * ahead).sum(axis=1) + 1j * (force * np.cross(down, ahead)).sum(axis=1)
     psi = np.interp(time, moments.time_s, np.unwrap(moments.heading_rad)) + moments.declination_rad
     pushed = level * np.exp(1j * psi)
@@ -363,14 +365,3 @@ def heading_of_track(
     learnt = {one.by for one in north.learnt}
     rest = [source for source in evidence.sources if source.name not in learnt]
     return found.widened(beyond_rad, isolate_faults(rest).beyond_rad(0)).with_north(north)
-
-
-def _autopilot_yaw(track: Track) -> Series | None:
-    attitude = track.attitude_rad
-    return None if attitude is None else Series(attitude.time_s, np.asarray(attitude.values)[:, 2])
-
-
-def _ahead(down: FloatArray) -> FloatArray:
-    """Return the horizontal direction of the nose, in body axes, (N, 3)."""
-    ahead = np.array([1.0, 0.0, 0.0]) - down[:, :1] * down
-    return np.asarray(ahead / np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9))

@@ -18,7 +18,6 @@ from mavcompass.heading.compute import grid_heading, level_field, tilt_compensat
 from mavcompass.heading.doubt import (
     TILT_SIGMA_RAD,
     CalibrationDoubt,
-    heading_sigma_rad,
     prior_sigma_mgauss,
     turned_since_new,
 )
@@ -76,7 +75,7 @@ def heading_by_compass(
     compass = track.compass(instance)
     require_gravity(track.acc_mps2)
     world = earth_field_of(track, UNKNOWN_YEAR)
-    field = _field(track, correction, instance)
+    field, calibrated = _field(track, correction, instance)
     level = levels(track)
     down, leaning = level.at(compass.time_s), level.sigma_rad.at(compass.time_s)
     roll, pitch = tilt_from_acceleration(-down)
@@ -91,11 +90,9 @@ def heading_by_compass(
         )
     else:
         magnetic = np.asarray(tilt_compensated_heading(field, -down))
-    calibrated = _is_calibrated(track, instance, correction)
     late = turned_since_new(track, instance)
     sigma = _magnetic_sigma(field, down, leaning, magnetic, world, calibrated, two_axis, late)
     sigma[track.saturated(instance)] = math.pi
-    sigma = np.minimum(sigma, math.pi)
     found = HeadingResult(compass.time_s, magnetic, sigma, sigma)
     if world is None:
         return found
@@ -109,20 +106,14 @@ def heading_by_compass(
     )
 
 
-def _is_calibrated(track: Track, instance: int, correction: FieldCorrection | None) -> bool:
-    """Tell whether the heading is by a calibration; False where the recording does not tell."""
-    compass = track.compasses[instance]
-    if correction is not None:
-        return any(correction.offsets_mgauss)
-    in_force = compass.calibration
-    return in_force is not None and is_calibrated(track.autopilot, track.parameters, instance, in_force)
-
-
-def _field(track: Track, correction: FieldCorrection | None, instance: int) -> FloatArray:
+def _field(track: Track, correction: FieldCorrection | None, instance: int) -> tuple[FloatArray, bool]:
+    """Return a compass's field, and whether it is by a calibration; not where the recording does not tell."""
     if correction is None:
-        return track.corrected_field(instance)
+        in_force = track.compasses[instance].calibration
+        known = in_force is not None and is_calibrated(track.autopilot, track.parameters, instance, in_force)
+        return track.corrected_field(instance), known
     load = track.motor_load(track.compasses[instance].time_s, correction.motor_source)
-    return correction.apply(track.raw_field(instance), load)
+    return correction.apply(track.raw_field(instance), load), any(correction.offsets_mgauss)
 
 
 def _magnetic_sigma(
@@ -150,4 +141,6 @@ def _magnetic_sigma(
     tilt = np.hypot(down[:, 0], down[:, 1])
     leaning = np.hypot(leaning, TILT_SIGMA_RAD)
     noise = np.hypot(z_sigma * tilt, doubt.scatter_mgauss)
-    return heading_sigma_rad(doubt.sigma_rad(level[:, 0], level[:, 1]), usual, steep, leaning, noise, late)
+    square = doubt.sigma_rad(level[:, 0], level[:, 1]) ** 2 + np.square(late)
+    square += (noise / max(usual, 1e-9)) ** 2 + (steep / max(usual, 1e-9) * leaning) ** 2
+    return np.asarray(np.minimum(np.sqrt(square), math.pi))

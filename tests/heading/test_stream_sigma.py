@@ -132,3 +132,14 @@ def test_what_is_asked_of_a_recording_has_to_be_there() -> None:
         heading_of_track(Track())
     with pytest.raises(BadRecording, match="does not tell its place"):
         heading_of_track(placed(place=None), two_axis=True)
+
+
+def test_all_that_may_be_off_adds_up() -> None:
+    """Nothing but tilt and lateness of a compass that was seen all round and does not scatter."""
+    psi = np.linspace(0.0, 2.0 * math.pi, 50, endpoint=False)
+    field = np.stack([200.0 * np.cos(psi), -200.0 * np.sin(psi), np.full(50, 400.0)], axis=1)
+    known = (field, LEVEL, np.full(50, 0.02), psi, WORLD, True, False)
+    early, late = one_compass._magnetic_sigma(*known), one_compass._magnetic_sigma(*known, np.full(50, 0.05))
+    assert late == pytest.approx(np.hypot(early, 0.05))
+    assert early == pytest.approx(np.full(50, 2.0 * math.hypot(0.02, TILT)), rel=0.1)
+    assert one_compass._magnetic_sigma(*known, np.full(50, 9.0)).tolist() == [math.pi] * 50

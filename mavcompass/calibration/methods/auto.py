@@ -33,23 +33,9 @@ def calibrate(recorded: Recorded) -> CalibrationResult:
         motion, change = last_stretch(motion)
         if change is not None:
             recorded = since(recorded, float(motion.sections.start_s[0]))
-    results, refusals = _tried(recorded, motion)
-    if not results:
-        raise refusals[0]
-    result = _chosen(results, motion)
-    said = [f"Method: {result.method}, chosen by what the recording holds."]
-    if change is not None:
-        said.append(change.words())
-    return replace(result, warnings=(*said, *result.warnings))
-
-
-def _tried(
-    recorded: Recorded, motion: Motion | None
-) -> tuple[list[CalibrationResult], list[PoorCalibration]]:
-    """Try the methods in order of what they know of the vehicle."""
     results: list[CalibrationResult] = []
     refusals: list[PoorCalibration] = []
-    attempts: list[Callable[[], CalibrationResult]] = [
+    attempts: list[Callable[[], CalibrationResult]] = [  # in order of what they know of the vehicle
         lambda: four_positions.calibrate_still(recorded, motion),
         lambda: world_field.calibrate_motion(motion or observe_motion(recorded)),
         lambda: ellipsoid.calibrate_witnessed(recorded, motion),
@@ -59,7 +45,13 @@ def _tried(
             results.append(attempt())
         except PoorCalibration as refusal:
             refusals.append(refusal)
-    return results, refusals
+    if not results:
+        raise refusals[0]
+    result = _chosen(results, motion)
+    said = [f"Method: {result.method}, chosen by what the recording holds."]
+    if change is not None:
+        said.append(change.words())
+    return replace(result, warnings=(*said, *result.warnings))
 
 
 def _chosen(results: list[CalibrationResult], motion: Motion | None = None) -> CalibrationResult:

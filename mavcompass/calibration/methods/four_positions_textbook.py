@@ -70,10 +70,16 @@ def calibrate(recorded: Recorded) -> CalibrationResult:
     data = still_positions(recorded)
     chosen = _right_angles(data)
     means = np.array([dwell.mean_mgauss for dwell in chosen.dwells])
-    compensation, axes = four_positions_textbook(means)
-    return level_result(
-        recorded, "four-positions-textbook", compensation, data, _positions(chosen), (_left_over(axes),)
+    compensation, (x, y) = four_positions_textbook(means)
+    left_over = (
+        f"The two left-over equations give {x.left_over:+.1f} mG on X and {y.left_over:+.1f} mG on Y; "
+        "exact steps and an undisturbed field would give 0."
     )
+    positions = tuple(
+        Position(float(turned) * DEG_PER_RAD, dwell.mean_mgauss, dwell.samples)
+        for turned, dwell in zip(chosen.turned_rad, chosen.dwells, strict=True)
+    )
+    return level_result(recorded, "four-positions-textbook", compensation, data, positions, (left_over,))
 
 
 def _right_angles(data: FourPositionData | None) -> FourPositionData:
@@ -87,19 +93,4 @@ def _right_angles(data: FourPositionData | None) -> FourPositionData:
     raise PoorCalibration(
         "The recording has no four positions with steps of about 90 degrees between them.",
         "Turn the vehicle in four steps of 90 degrees and stop after each.",
-    )
-
-
-def _left_over(axes: tuple[FourReadings, FourReadings]) -> str:
-    x, y = axes
-    return (
-        f"The two left-over equations give {x.left_over:+.1f} mG on X and {y.left_over:+.1f} mG on Y; "
-        "exact steps and an undisturbed field would give 0."
-    )
-
-
-def _positions(data: FourPositionData) -> tuple[Position, ...]:
-    return tuple(
-        Position(float(turned) * DEG_PER_RAD, dwell.mean_mgauss, dwell.samples)
-        for turned, dwell in zip(data.turned_rad, data.dwells, strict=True)
     )

@@ -62,7 +62,12 @@ def learn(recorded: Recorded) -> Learnt:
 
     Raises PoorCalibration where the recording has no gyro, or hardly turned.
     """
-    motion, change = _since_it_changed(observe_motion(recorded))
+    motion = observe_motion(recorded)
+    later, change = last_stretch(motion)
+    if change is not None and change.is_iron:
+        motion = later
+    else:
+        change = None
     result = calibrate_motion(motion)
     reasons = result.reasons
     if motion.halves() is None:
@@ -73,11 +78,6 @@ def learn(recorded: Recorded) -> Learnt:
         reasons = (*reasons, unproven)
     result = replace(result, method="running", reasons=reasons, accepted=not reasons)
     return Learnt(result, _not_seen_deg(motion), change)
-
-
-def _since_it_changed(motion: Motion) -> tuple[Motion, Change | None]:
-    later, change = last_stretch(motion)
-    return (later, change) if change is not None and change.is_iron else (motion, None)
 
 
 def _not_seen_deg(motion: Motion) -> tuple[int, ...]:

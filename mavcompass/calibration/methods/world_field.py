@@ -65,10 +65,8 @@ def calibrate_motion(motion: Motion) -> CalibrationResult:
     sigma = honest.error.rms_rad()
     reasons, warnings = findings(motion, honest)
     if disturbed is not None:
-        reason = disturbed.reason(recorded.limits.heading_deg)
-        reasons, warnings = (
-            ((*reasons, reason), warnings) if reason else (reasons, (disturbed.words(), *warnings))
-        )
+        sentence, refused = disturbed.said(recorded.limits.heading_deg)
+        reasons, warnings = ((*reasons, sentence), warnings) if refused else (reasons, (sentence, *warnings))
     if motion.reference is None:
         unknown = "No yaw reference was recorded; the gyro's turned angle was used with an unknown start."
         warnings = (unknown, *warnings)

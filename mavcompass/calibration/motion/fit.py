@@ -32,9 +32,9 @@ from mavcompass.calibration.model import (
     gain_matrix,
 )
 from mavcompass.calibration.motion.sections import Sections
+from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.rigid import (
     Fit,
-    IronPrior,
     PriorRows,
     assembled,
     covariance_of,
@@ -42,8 +42,7 @@ from mavcompass.calibration.rigid import (
     settle,
 )
 from mavcompass.chance import chance_of_more
-from mavcompass.correction import FieldCorrection
-from mavcompass.earth_field import EarthField
+from mavcompass.correction import MotorSource
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
 from mavcompass.heading.compute import level_field
@@ -128,22 +127,10 @@ class MotionFit(Fit):
         return float(np.log(roots).sum() - 0.5 * np.linalg.slogdet(self.information)[1]) - self.cost
 
 
-def fit_motion(
-    sections: Sections,
-    earth: EarthField | None = None,
-    prior: IronPrior | None = None,
-    load_source: str = "none",
-    in_force: FieldCorrection | None = None,
-) -> MotionFit:
-    """Fit a compass to its sections.
+def fit_motion(recorded: Recorded, sections: Sections, load_source: MotorSource = "none") -> MotionFit:
+    """Fit a compass to sections of its recording, K of them; `load_source` is what their load is.
 
-    Args:
-        sections: of the recording, K of them.
-        earth: the Earth's field there; None estimates it, and only its horizontal part's direction counts.
-        prior: what is known of compasses in general.
-        load_source: what `sections.load` is: "current", "throttle" or "none".
-        in_force: gives Z's offset where no world model does.
-
+    Without a place the Earth's field is estimated, and only the direction of its horizontal part counts.
     Raises PoorCalibration for fewer than four sections, or where the field does not turn with the vehicle.
     """
     if len(sections) < _FEWEST:
@@ -151,7 +138,7 @@ def fit_motion(
             f"Only {len(sections)} stretches of the recording have compass and gyro together.",
             "Record both at 10 Hz or more, and turn the vehicle through a full circle.",
         )
-    x, rules, _ = begin(sections, earth, prior, load_source, in_force)
+    x, rules, _ = begin(recorded, sections, load_source)
     error = ModelError.at_first(sections.field(x)[0])
     sound = np.ones(len(sections))
     for _ in range(_ROUNDS):
@@ -170,18 +157,12 @@ def fit_motion(
     return replace(fit, variance_mgauss2=variance, error=error)
 
 
-def begin(
-    sections: Sections,
-    earth: EarthField | None = None,
-    prior: IronPrior | None = None,
-    load_source: str = "none",
-    in_force: FieldCorrection | None = None,
-) -> FirstState:
+def begin(recorded: Recorded, sections: Sections, load_source: MotorSource = "none") -> FirstState:
     """Tell where `fit_motion` begins, which costs a fiftieth of it."""
-    field = rough_field(sections.mean_mgauss, earth, in_force or FieldCorrection())
-    gyro_sigma = (sections.scale_sigma, sections.bias_sigma_radps)
-    beliefs, motor_sigma = prior or IronPrior(), _MOTOR_SIGMA[load_source]
-    rules = prior_rows(len(sections), beliefs, earth, in_force, field[1], gyro_sigma, motor_sigma)
+    earth, prior, in_force = recorded.earth, recorded.prior, recorded.in_force
+    field = rough_field(sections.mean_mgauss, earth, in_force)
+    gyro_sigma, motor_sigma = (sections.scale_sigma, sections.bias_sigma_radps), _MOTOR_SIGMA[load_source]
+    rules = prior_rows(len(sections), prior, earth, in_force, field[1], gyro_sigma, motor_sigma)
     return first_state(sections, rules, field)
 
 

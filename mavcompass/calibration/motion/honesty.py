@@ -69,9 +69,11 @@ class Honesty:
 
 def weigh_honestly(sections: Sections, fit: MotionFit, prior: IronPrior = DEFAULT_PRIOR) -> Honesty:
     """Judge a fit by blocks left out and by the scatter that it leaves."""
-    blend = weigh_cross_terms(fit.state, fit.covariance, prior, leaning_error(sections, fit))
-    leaning = (blend.shared @ blend.shared.T)[:9, :9]
-    state, covariance = blend.state, blend.covariance[:9, :9] - leaning
+    state, covariance, shared = weigh_cross_terms(
+        fit.state, fit.covariance, prior, leaning_error(sections, fit)
+    )
+    leaning = (shared @ shared.T)[:9, :9]
+    covariance = covariance[:9, :9] - leaning
     ratio = max(_left_out(fit, _by_time(sections)), _left_out(fit, _by_heading(fit)))
     claimed = HeadingError(state[:11], covariance)
     noise = claimed.rms_rad()

@@ -172,25 +172,16 @@ class Disturbed:
     at_s: tuple[float, ...]
     open_rad: float
 
-    def words(self) -> str:
-        """Say it in a sentence."""
-        return (
-            f"{self._place()}: without that stop, and the turns to and from it, the rest agrees. It was left"
-            " out."
-        )
-
-    def reason(self, limit_deg: float) -> str:
-        """Say why it cannot be believed, or "" where it makes little difference which stop it was."""
-        if math.degrees(self.open_rad) <= limit_deg:
-            return ""
-        return (
-            f"{self._place()}, and the recording does not tell where. Record again with one more stop, at the"
-            " first heading."
-        )
-
-    def _place(self) -> str:
+    def said(self, limit_deg: float) -> tuple[str, bool]:
+        """Say it in a sentence, and whether it cannot be believed since it matters which stop it was."""
+        matters = math.degrees(self.open_rad) > limit_deg
         times = " or ".join(f"{at_s:.0f} s" for at_s in self.at_s)
-        return f"Something magnetic stood near the vehicle where it stopped at {times}"
+        why = (
+            ", and the recording does not tell where. Record again with one more stop, at the first heading."
+            if matters
+            else ": without that stop, and the turns to and from it, the rest agrees. It was left out."
+        )
+        return f"Something magnetic stood near the vehicle where it stopped at {times}{why}", matters
 
 
 def without_disturbed_stop(motion: Motion) -> Disturbed | None:

@@ -76,7 +76,7 @@ class Motion:
     def halves(self) -> tuple[Sections, Sections] | None:
         """Return both halves of the motion; None where one of them does not turn far enough by itself."""
         middle = len(self.sections) // 2
-        first, second = self.sections.rows(0, middle), self.sections.rows(middle, len(self.sections))
+        first, second = map(self.sections.chosen, np.split(np.arange(len(self.sections)), [middle]))
         for half in (first, second):
             if len(half) < _FEWEST_OF_HALF or circle_covered_rad(half.turned_rad) < LEAST_CIRCLE_RAD:
                 return None
@@ -89,7 +89,7 @@ class Motion:
         """
         headings, variance = [], 0.0
         for half in self.halves() or ():
-            fit = _fitted(self.recorded, half, self.load_source)
+            fit = fit_motion(self.recorded, half, self.load_source)
             headings.append(level_headings(self.sections, fit, half.load_mean - self.sections.load_mean))
             variance += sigma_of(fit) ** 2
         if not headings:
@@ -99,7 +99,7 @@ class Motion:
 
     def on(self, sections: Sections) -> Motion:
         """Fit some of the sections anew. Raises PoorCalibration where these are too few."""
-        return replace(self, sections=sections, fit=_fitted(self.recorded, sections, self.load_source))
+        return replace(self, sections=sections, fit=fit_motion(self.recorded, sections, self.load_source))
 
 
 def observe_motion(recorded: Recorded) -> Motion:
@@ -140,11 +140,11 @@ def observe_motion(recorded: Recorded) -> Motion:
     load, source = _motor_load(track, instance)
     if load is not None:
         loaded = cut(track.raw_field(instance), load)
-        fit = _fitted(recorded, loaded, source)
+        fit = fit_motion(recorded, loaded, source)
         if _motors_show(loaded, fit):
             told = _motors_told(loaded, fit, math.radians(recorded.limits.heading_deg))
             return Motion(recorded, record, reference, loaded, fit, source, told)
-    return Motion(recorded, record, reference, sections, _fitted(recorded, sections, "none"), "none")
+    return Motion(recorded, record, reference, sections, fit_motion(recorded, sections, "none"), "none")
 
 
 def _pulled_rad(rate_radps: FloatArray) -> float:
@@ -180,10 +180,6 @@ def _motors_told(sections: Sections, fit: MotionFit, limit_rad: float) -> bool:
     """
     sigma = math.sqrt(float(np.diag(fit.covariance)[MOTOR][:2].mean()))
     return sections.load_mean * sigma < limit_rad * fit.horizontal_mgauss
-
-
-def _fitted(recorded: Recorded, sections: Sections, source: MotorSource) -> MotionFit:
-    return fit_motion(sections, recorded.earth, recorded.prior, source, recorded.in_force)
 
 
 def _motor_load(track: Track, instance: int) -> tuple[FloatArray | None, MotorSource]:

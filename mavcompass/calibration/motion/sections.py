@@ -81,12 +81,7 @@ class Sections(Readings):
 
     def between(self, start_s: float, end_s: float) -> Sections:
         """Keep the sections whose middle lies between two times."""
-        first, last = np.searchsorted(self.middle_s, [start_s, end_s])
-        return self.rows(int(first), int(last))
-
-    def rows(self, first: int, last: int) -> Sections:
-        """Keep the sections first <= k < last."""
-        return self.chosen(np.arange(first, last))
+        return self.chosen(np.arange(*np.searchsorted(self.middle_s, [start_s, end_s])))
 
     def chosen(self, kept: NDArray[np.intp]) -> Sections:
         """Keep some of the sections, in their order; the turns between them are joined."""
@@ -135,17 +130,8 @@ def reference_turn(track: Track) -> ReferenceTurn | None:
 
 
 def _record(time: FloatArray, yaw: FloatArray) -> TurnRecord:
-    return TurnRecord(
-        time_s=time,
-        angle_rad=yaw,
-        rate_radps=np.gradient(yaw, time),
-        tilt_rate_radps=np.zeros(time.size),
-        bias_radps=0.0,
-        bias_sigma_radps=1e-9,
-        noise_radps=0.0,
-        walk_rad=0.0,
-        interval_s=float(np.median(np.diff(time))),
-    )
+    interval_s = float(np.median(np.diff(time)))
+    return TurnRecord(time, yaw, np.gradient(yaw, time), np.zeros(time.size), interval_s=interval_s)
 
 
 def cut_sections(

@@ -59,11 +59,11 @@ class TurnRecord:
     angle_rad: FloatArray
     rate_radps: FloatArray
     tilt_rate_radps: FloatArray
-    bias_radps: float
-    bias_sigma_radps: float
-    noise_radps: float
-    walk_rad: float
-    interval_s: float
+    bias_radps: float = 0.0
+    bias_sigma_radps: float = 1e-9
+    noise_radps: float = 0.0
+    walk_rad: float = 0.0
+    interval_s: float = 0.0
 
     def angle_at(self, time_s: FloatArray) -> FloatArray:
         """Return the turned angle at other times, radians."""

@@ -34,7 +34,6 @@ from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.positions.problem import PositionProblem, fit_positions, weigh_disturbances
 from mavcompass.calibration.rigid import (
     DEFAULT_PRIOR,
-    Blend,
     Fit,
     IronPrior,
     Readings,
@@ -147,12 +146,13 @@ def solve_four_positions(
     # The accelerometer's own error, the same in every dwell: on the level it looks like an offset.
     leaning = fit.common_error(problem.leaning)
     blend = weigh_cross_terms(mixture.state, excess * mixture.covariance, prior, leaning)
+    state, covariance, _ = blend
     ranked = np.argsort(-mixture.probability)
     return FourPositionsResult(
-        correction=_correction(blend.state, in_force, earth is not None),
+        correction=_correction(state, in_force, earth is not None),
         names=(*NAMES, *(f"heading_{k + 1}" for k in range(len(data.dwells)))),
-        state=blend.state,
-        covariance=blend.covariance,
+        state=state,
+        covariance=covariance,
         residual_mgauss=fit.residual_mgauss,
         consistency=consistency,
         disturbed_probability=mixture.probability,
@@ -179,19 +179,21 @@ def _correction(state: FloatArray, in_force: FieldCorrection, world_model: bool)
     return FieldCorrection.from_matrix(offsets, 0.5 * (matrix + matrix.T)).with_motor_of(in_force)
 
 
-def heading_budget(problem: PositionProblem, fit: Fit, blend: Blend) -> dict[str, float]:
+def heading_budget(
+    problem: PositionProblem, fit: Fit, blend: tuple[FloatArray, FloatArray, FloatArray]
+) -> dict[str, float]:
     """Split the heading's rms sigma over the circle by source, radians; the squares add up to the whole."""
-    k = len(problem.readings)
+    k, (state, covariance, shared) = len(problem.readings), blend
     circle = np.arange(36) * (2.0 * math.pi / 36)
     gradient = np.zeros((36, fit.state.size))
-    gradient[:, :9] = heading_gradient(blend.state, circle)
+    gradient[:, :9] = heading_gradient(state, circle)
     gains = gradient @ fit.covariance @ fit.jacobian.T  # heading by whitened residual, (36, R)
     field = gains[:, : 3 * k].reshape(36, k, 3)
     variance = dict.fromkeys(_PARTS, 0.0)
     for name, part in problem.parts.items():
         unit = problem.whiten @ part @ np.swapaxes(problem.whiten, 1, 2)
         variance[name] = float(np.einsum("nki,kij,nkj->n", field, unit, field).mean())
-    variance[ACCELEROMETER] = float(((gradient @ blend.shared) ** 2).sum(axis=1).mean())
+    variance[ACCELEROMETER] = float(((gradient @ shared) ** 2).sum(axis=1).mean())
     rest = (gains[:, 3 * k :] ** 2).mean(axis=0)
     variance["step_angle"] = float(rest[: k - 1].sum())
     for place, share in zip(problem.rules.places, rest[k - 1 : -1], strict=True):
@@ -200,7 +202,7 @@ def heading_budget(problem: PositionProblem, fit: Fit, blend: Blend) -> dict[str
     variance["prior"] += float(rest[-1])
     # What the blends add (was a dwell disturbed? are there cross terms?) or save goes to the disturbance,
     # or lowers all alike.
-    whole = float(np.einsum("ni,ij,nj->n", gradient, blend.covariance, gradient).mean())
+    whole = float(np.einsum("ni,ij,nj->n", gradient, covariance, gradient).mean())
     sum_of_parts = max(sum(variance.values()), 1e-30)
     if whole >= sum_of_parts:
         variance["disturbance"] += whole - sum_of_parts

@@ -12,11 +12,12 @@ import pytest
 
 from mavcompass.calibration.model import HEADINGS, LAG, MOTOR, OFFSET, gain_matrix
 from mavcompass.calibration.motion import fit, honesty
-from mavcompass.calibration.motion.fit import ModelError, MotionFit, begin, fit_motion, section_variance
+from mavcompass.calibration.motion.fit import ModelError, MotionFit, begin, section_variance
 from mavcompass.calibration.motion.left_out import last_stretch
 from mavcompass.calibration.motion.observed import Motion
 from mavcompass.calibration.motion.sections import Sections
-from mavcompass.correction import FieldCorrection
+from mavcompass.calibration.rigid import DEFAULT_PRIOR
+from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, euler_to_matrix, wrap_pi
@@ -67,9 +68,22 @@ def sections_of(
     return Sections(**values)
 
 
+def known(earth: EarthField | None, in_force: FieldCorrection = IDENTITY) -> Any:
+    return SimpleNamespace(earth=earth, prior=DEFAULT_PRIOR, in_force=in_force, track=None)
+
+
+def fit_of(
+    sections: Sections,
+    earth: EarthField | None = None,
+    load_source: Any = "none",
+    in_force: FieldCorrection = IDENTITY,
+) -> MotionFit:
+    return fit.fit_motion(known(earth, in_force), sections, load_source)
+
+
 @pytest.fixture(scope="module")
 def found() -> MotionFit:
-    return fit_motion(sections_of(), EARTH)
+    return fit_of(sections_of(), EARTH)
 
 
 def disturbed(index: int = 5, mgauss: float = 30.0) -> Sections:
@@ -101,56 +115,55 @@ def test_an_attitude_that_errs_is_no_iron_that_changed() -> None:
     leant, told = (np.array([euler_to_matrix(r, p, 0.0).T for r, p in a.T]) for a in (tilt, tilt + error))
     level = np.stack([200.0 * np.cos(psi), -200.0 * np.sin(psi), np.full(48, 450.0)], axis=1)
     mean = OFFSETS + np.einsum("kij,kj->ki", leant, level) @ gain_matrix(GAINS)
-    sections, known = sections_of(psi, mean_mgauss=mean, mapping=told), SimpleNamespace()
-    known.earth = known.prior = known.in_force = known.track = None
-    motion = Motion(known, None, None, sections, fit_motion(sections), "none")  # type: ignore[arg-type]
+    sections = sections_of(psi, mean_mgauss=mean, mapping=told)
+    motion = Motion(known(None), None, None, sections, fit_of(sections), "none")  # type: ignore[arg-type]
     assert last_stretch(motion) == (motion, None)
 
 
 def test_fewer_than_four_sections_are_refused() -> None:
     four = sections_of(np.array([0.3, 1.9, 3.5, 5.0]))
-    assert fit_motion(four, EARTH).offset_mgauss[:2] == pytest.approx(OFFSETS[:2], abs=0.5)
+    assert fit_of(four, EARTH).offset_mgauss[:2] == pytest.approx(OFFSETS[:2], abs=0.5)
     with pytest.raises(PoorCalibration, match="Only 3 stretches of the recording have compass and gyro"):
-        fit_motion(four.rows(0, 3), EARTH)
+        fit_of(four.chosen(np.arange(3)), EARTH)
 
 
 def test_without_a_world_the_vertical_offset_is_the_one_in_force() -> None:
     in_force = FieldCorrection(offsets_mgauss=(-60.0, 40.0, -25.0))
-    alone = fit_motion(sections_of(), in_force=in_force)
+    alone = fit_of(sections_of(), None, "none", in_force)
     assert alone.offset_mgauss == pytest.approx(OFFSETS, abs=1.5)
-    assert fit_motion(sections_of()).offset_mgauss[2] == pytest.approx(0.0, abs=1.5)
+    assert fit_of(sections_of()).offset_mgauss[2] == pytest.approx(0.0, abs=1.5)
 
 
 @pytest.mark.parametrize("source", ["current", "throttle"])
 def test_a_motor_field_is_found_beside_the_load(source: str) -> None:
     load = np.resize([0.0, 7.0, 2.0, 10.0, 4.0], K)
     motor = (1.5, -1.0, 0.5)
-    seen = fit_motion(sections_of(load=load, motor=motor), EARTH, load_source=source)
+    seen = fit_of(sections_of(load=load, motor=motor), EARTH, source)
     assert seen.state[MOTOR] == pytest.approx(motor, abs=0.02)
     shifted = sections_of(load=load, motor=motor)
     elsewhere = replace(shifted, load=shifted.load - 3.0)  # as a half with another mean has it
     there = fit.level_headings(elsewhere, seen, -3.0)
     assert wrap_pi(there - seen.headings_rad) == pytest.approx(np.zeros(K), abs=1e-3)
-    none = fit_motion(sections_of(load=load), EARTH)
+    none = fit_of(sections_of(load=load), EARTH)
     assert np.abs(none.state[MOTOR]).max() < 1e-5
     # Before the data: 10 mG/A, 100 mG at full throttle.
     blind = sections_of(load=1e-9 * load)
-    sigma = math.sqrt(fit_motion(blind, EARTH, None, source, None).covariance[13, 13])
+    sigma = math.sqrt(fit_of(blind, EARTH, source).covariance[13, 13])
     wide = {"current": 10.0, "throttle": 100.0}[source]
     assert sigma == pytest.approx(wide, rel=1e-3)
 
 
 def test_a_passing_magnet_is_kept_out() -> None:
-    seen = fit_motion(disturbed(), EARTH)
+    seen = fit_of(disturbed(), EARTH)
     assert seen.sound[5] < 0.01 and np.delete(seen.sound, 5).min() > 0.95
     assert seen.offset_mgauss[:2] == pytest.approx(OFFSETS[:2], abs=0.6)
     assert seen.residual_mgauss[5] == pytest.approx([0.0, 30.0, 0.0], abs=1.5)
 
 
 def test_what_is_wrong_everywhere_is_an_error_of_the_model() -> None:
-    seen = fit_motion(sections_of(noise=6.0), EARTH)
+    seen = fit_of(sections_of(noise=6.0), EARTH)
     assert seen.error.mgauss == pytest.approx(6.0, rel=0.25) and seen.sound.min() > 0.5
-    calm = fit_motion(sections_of(noise=0.2), EARTH)  # as one reading's noise of 1 mG makes of twenty
+    calm = fit_of(sections_of(noise=0.2), EARTH)  # as one reading's noise of 1 mG makes of twenty
     assert calm.error.mgauss == 0.0
     assert fit.sigma_of(seen) > 10.0 * fit.sigma_of(calm)
 
@@ -163,8 +176,8 @@ def test_the_sigma_is_the_scatter_of_fits() -> None:
         noisy = replace(
             clean, mean_mgauss=clean.mean_mgauss + chance.normal(0.0, 1.0 / math.sqrt(20.0), (K, 3))
         )
-        off.append(fit_motion(noisy, EARTH).offset_mgauss[:2])
-    claimed = np.sqrt(np.diag(fit_motion(clean, EARTH).covariance)[:2])
+        off.append(fit_of(noisy, EARTH).offset_mgauss[:2])
+    claimed = np.sqrt(np.diag(fit_of(clean, EARTH).covariance)[:2])
     assert np.std(off, axis=0) == pytest.approx(claimed, rel=0.5)
 
 
@@ -200,7 +213,7 @@ def test_a_sections_variance_is_noise_steps_tilt_and_model(found: MotionFit) -> 
 def test_the_first_state_is_near_wherever_the_vehicle_begins(first: float) -> None:
     psi = first + np.linspace(0.0, 2.0 * math.pi, K, endpoint=False)
     for earth in (EARTH, None):
-        x, _, _ = begin(sections_of(psi), earth)
+        x, _, _ = begin(known(earth), sections_of(psi))
         assert np.abs(np.angle(np.exp(1j * (x[HEADINGS:] - psi)))).max() < 20.0 * DEG
         assert x[OFFSET][:2] == pytest.approx(OFFSETS[:2], abs=30.0)
 
@@ -210,12 +223,12 @@ def motion_of(sections: Sections, seen: Any) -> Any:
 
 
 def test_what_is_claimed_is_at_least_what_scatters() -> None:
-    calm = honesty.weigh_honestly(sections_of(noise=0.2), fit_motion(sections_of(noise=0.2), EARTH))
+    calm = honesty.weigh_honestly(sections_of(noise=0.2), fit_of(sections_of(noise=0.2), EARTH))
     assert calm.scatter_rad == 0.0
     # Noise and the accelerometer's own error: what is left out moves it by no more than chance.
     assert calm.error.rms_rad() == pytest.approx(math.hypot(calm.noise_rad, calm.accelerometer_rad), rel=1e-6)
     assert calm.accelerometer_rad == pytest.approx(0.001 * 450.0 / 200.0, rel=0.05)
-    rough = honesty.weigh_honestly(sections_of(noise=6.0), fit_motion(sections_of(noise=6.0), EARTH))
+    rough = honesty.weigh_honestly(sections_of(noise=6.0), fit_of(sections_of(noise=6.0), EARTH))
     assert rough.scatter_rad == pytest.approx(6.0 / 200.0, rel=0.4)
     assert rough.error.rms_rad() >= rough.scatter_rad > rough.noise_rad
     wider = calm.at_least(0.05)

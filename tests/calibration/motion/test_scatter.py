@@ -144,13 +144,16 @@ def test_readings_around_a_change_of_the_parameters_are_unsettled() -> None:
 
 def test_sections_are_cut_by_rows_and_by_time() -> None:
     sections = sections_of(step_sigma_rad=np.arange(7.0))
-    part = sections.rows(2, 5)
+    part = sections.chosen(np.arange(2, 5))
     assert (
         len(part) == 3
         and part.start_s.tolist() == [10.0, 15.0, 20.0]
         and part.step_sigma_rad.tolist() == [2.0, 3.0]
     )
-    assert len(sections.rows(3, 3)) == 0 and sections.rows(3, 4).step_sigma_rad.size == 0
+    assert (
+        len(sections.chosen(np.arange(3, 3))) == 0
+        and sections.chosen(np.arange(3, 4)).step_sigma_rad.size == 0
+    )
     assert sections.between(12.4, 22.6).start_s.tolist() == [10.0, 15.0, 20.0]
     assert sections.between(12.6, 22.4).start_s.tolist() == [15.0]
     assert sections.middle_s.tolist() == [2.5 + 5.0 * k for k in range(8)]

@@ -91,8 +91,8 @@ def test_fit(motion: Motion, as_stored: AsStored) -> None:
 
 
 def test_where_the_fit_begins(motion: Motion, as_stored: AsStored) -> None:
-    s, prior, in_force = motion.sections, motion.recorded.prior, motion.recorded.in_force
-    first, rules, _ = begin(s, motion.recorded.earth, prior, motion.load_source, in_force)
+    s = motion.sections
+    first, rules, _ = begin(motion.recorded, s, motion.load_source)
     fit = motion.fit
     as_stored(
         {

@@ -203,12 +203,12 @@ def test_cross_terms_are_blended_by_their_odds() -> None:
         after = math.exp(-0.5 * value**2 / both2) / math.sqrt(both2)
         odds = after * math.sqrt(wide**2 + narrow2) * 3.0
         share = odds / (1.0 + odds)
-        blend = weigh_cross_terms(state, covariance, DEFAULT_PRIOR)
+        blended, known, _ = weigh_cross_terms(state, covariance, DEFAULT_PRIOR, np.zeros((20, 0)))
         held = share * sigma**2 / both2
-        assert blend.state[6] == pytest.approx((1.0 - held) * value, abs=1e-12)
-        assert blend.state[0] == pytest.approx(-share * 0.02 / both2 * value, abs=1e-9)
+        assert blended[6] == pytest.approx((1.0 - held) * value, abs=1e-12)
+        assert blended[0] == pytest.approx(-share * 0.02 / both2 * value, abs=1e-9)
         spread = share * (1.0 - share) * (sigma**2 / both2 * value) ** 2
-        assert blend.covariance[6, 6] == pytest.approx((1.0 - held) * sigma**2 + spread, rel=1e-6)
+        assert known[6, 6] == pytest.approx((1.0 - held) * sigma**2 + spread, rel=1e-6)
 
 
 def test_a_lean_that_all_readings_share_is_not_told_by_cross_terms() -> None:
@@ -220,8 +220,8 @@ def test_a_lean_that_all_readings_share_is_not_told_by_cross_terms() -> None:
     shared[1], shared[8] = 2.0 * vertical * lean, -lean
     covariance[8, 8], covariance[1, 8] = cross**2 + lean**2, -2.0 * vertical * lean**2
     covariance[8, 1], covariance[1, 1] = covariance[1, 8], (2.0 * vertical * lean) ** 2 + 0.04
-    blend = weigh_cross_terms(state, covariance, DEFAULT_PRIOR, shared)
-    level = blend.shared[1, 0] + vertical * blend.shared[8, 0]
+    _, _, left = weigh_cross_terms(state, covariance, DEFAULT_PRIOR, shared)
+    level = left[1, 0] + vertical * left[8, 0]
     assert level == pytest.approx(vertical * lean, rel=0.2)
 
 
