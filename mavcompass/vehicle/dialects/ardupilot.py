@@ -67,7 +67,6 @@ class ArduPilotDialect(CompassDialect):
     prefix = ("COMPASS", "CUST_ROT")
     encoding: Encoding = "cast"
     motor_terms, motor_switch = r"COMPASS[123]?_MOT[23]?_[XYZ]", "COMPASS_MOTCT"
-    unwatched = "The autopilot's own heading follows a new calibration slowly: reboot it before it moves."
     restart_wanted_by_own = True
 
     # --- reading ------------------------------------------------------------------------------------
@@ -165,7 +164,7 @@ class ArduPilotDialect(CompassDialect):
         return tuple(sorted(changes, key=lambda change: "OFS" in change.name))
 
     def judge_compass(
-        self, before: Mapping[str, float], after: Mapping[str, float], instance: int, watched: bool
+        self, before: Mapping[str, float], after: Mapping[str, float], instance: int
     ) -> Judgement:
         """Check what a compass would hold: reasons against it, and what a person should know."""
         label, naming, rules = f"Compass {instance}", ardupilot_naming(after), self.rules
@@ -183,6 +182,13 @@ class ArduPilotDialect(CompassDialect):
             refusals.append(f"{label}: offsets of exactly zero mean 'not calibrated' to the firmware.")
         more_refusals, more_remarks = _about_mounting(before, after, instance)
         return refusals + more_refusals, remarks + more_remarks
+
+    def unwatched(
+        self, before: Mapping[str, float], after: Mapping[str, float], written: Sequence[int]
+    ) -> list[str]:
+        """Say that its estimator follows slowly."""
+        slowly = "The autopilot's own heading follows a new calibration slowly: reboot it before it moves."
+        return [slowly] if written else []
 
     def uncommitted(
         self, before: Mapping[str, float], after: Mapping[str, float], judged: Iterable[int]

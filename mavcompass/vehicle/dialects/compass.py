@@ -32,15 +32,12 @@ class CompassDialect(Dialect):
         prefix: what the names of its compass parameters begin with, one of them.
         encoding: how it puts integers into PARAM_VALUE.
         motor_terms: the names of motor terms, a pattern. motor_switch: what says with which load all go.
-        unwatched: what to know of single values written by hand, where nobody sees what the autopilot makes
-            of them; a calibration watches its heading.
     """
 
     prefix: tuple[str, ...]
     encoding: Encoding
     motor_terms: str
     motor_switch: str
-    unwatched = ""
 
     def __init__(self, source: str = "SOURCE") -> None:
         """Take the vehicle's address, which error messages repeat in the command that restores."""
@@ -85,11 +82,17 @@ class CompassDialect(Dialect):
 
     @abstractmethod
     def judge_compass(
-        self, before: Mapping[str, float], after: Mapping[str, float], instance: int, watched: bool
+        self, before: Mapping[str, float], after: Mapping[str, float], instance: int
     ) -> Judgement:
-        """Check what a compass would hold: reasons against it, and what a person should know.
+        """Check what a compass would hold: reasons against it, and what a person should know."""
 
-        `watched` is what a calibration writes, which sees to it that the autopilot takes it over.
+    @abstractmethod
+    def unwatched(
+        self, before: Mapping[str, float], after: Mapping[str, float], written: Sequence[int]
+    ) -> list[str]:
+        """Tell what to know of values of some compasses that are written by hand.
+
+        Nobody sees then what the autopilot makes of them; a calibration watches its heading.
         """
 
     def in_order(self, changes: tuple[Change, ...]) -> tuple[Change, ...]:
@@ -219,7 +222,7 @@ class CompassDialect(Dialect):
             if instance not in there:
                 doubts.append(self.absent(instance))
                 continue
-            against, notes = self.judge_compass(parameters, after, instance, bool(touched))
+            against, notes = self.judge_compass(parameters, after, instance)
             known = parameter_remarks(self.autopilot, after, instance)
             doubts += [*against, *(remark.text for remark in known if remark.forbids)]
             remarks += [*notes, *(remark.text for remark in known if not remark.forbids)]
@@ -227,8 +230,8 @@ class CompassDialect(Dialect):
         if late := tuple(c.name for c in changes if self.rules.wants_reboot(c.name)):
             takes = "takes" if len(late) == 1 else "take"
             remarks.append(f"{', '.join(late)} {takes} effect after a restart of the autopilot.")
-        if changes and judged and not touched:
-            remarks += [self.unwatched] if self.unwatched else []
+        if changes and not touched:
+            remarks += self.unwatched(parameters, after, [i for i in judged if i in there])
         return ParameterPlan(
             changes,
             refusals=tuple(dict.fromkeys(doubts)) if checked else (),

@@ -33,7 +33,11 @@ from mavcompass.vehicle.parameters.rules import check_correction
 from mavcompass.vehicle.parameters.values import Encoding, Parameter
 
 # PX4 loads a change of offsets, diagonal, rest during the run only where it is longer, or by `load_written`.
-_SMALLEST_LIVE_CHANGE_MGAUSS, _SMALLEST_LIVE_CHANGE = 5.0, 0.01
+_SMALLEST_LIVE_CHANGES = (
+    ("offsets", "offsets_mgauss", 5.0),
+    ("scales", "diagonals", 0.01),
+    ("cross terms", "off_diagonals", 0.01),
+)
 # Turning a correction into body axes and back leaves this much, in gauss and as a factor.
 _ROUNDING = 1e-6
 # Seen in its source and on it (August 2024): COM_ARM_MAG_ANG is how far apart compasses may point (-1: not
@@ -131,21 +135,28 @@ class PX4Dialect(CompassDialect):
         return tuple(sorted(changes, key=place))
 
     def judge_compass(
-        self, before: Mapping[str, float], after: Mapping[str, float], instance: int, watched: bool
+        self, before: Mapping[str, float], after: Mapping[str, float], instance: int
     ) -> Judgement:
         """Check what a compass would hold: reasons against it, and what a person should know."""
-        label = f"Compass {instance}"
-        old, new = px4_sensor_correction(before, instance), px4_sensor_correction(after, instance)
-        refusals, remarks = check_correction(new, self.rules, label, self.rules.offset_largest_mgauss)
-        refusals += _about_mounting(before, after, instance)
-        for what, moved, smallest in (
-            ("offsets", np.subtract(new.offsets_mgauss, old.offsets_mgauss), _SMALLEST_LIVE_CHANGE_MGAUSS),
-            ("scales", np.subtract(new.diagonals, old.diagonals), _SMALLEST_LIVE_CHANGE),
-            ("cross terms", np.subtract(new.off_diagonals, old.off_diagonals), _SMALLEST_LIVE_CHANGE),
-        ):
-            if not watched and _ROUNDING < float(np.linalg.norm(moved)) <= smallest:
-                remarks.append(f"{label}: the small change of the {what} takes effect at the next start.")
-        return refusals, remarks
+        new = px4_sensor_correction(after, instance)
+        refusals, remarks = check_correction(
+            new, self.rules, f"Compass {instance}", self.rules.offset_largest_mgauss
+        )
+        return refusals + _about_mounting(before, after, instance), remarks
+
+    def unwatched(
+        self, before: Mapping[str, float], after: Mapping[str, float], written: Sequence[int]
+    ) -> list[str]:
+        """Say which changes are too small for PX4 to load while it runs."""
+        remarks = []
+        for instance in written:
+            old, new = px4_sensor_correction(before, instance), px4_sensor_correction(after, instance)
+            for what, part, smallest in _SMALLEST_LIVE_CHANGES:
+                moved = float(np.linalg.norm(np.subtract(getattr(new, part), getattr(old, part))))
+                if _ROUNDING < moved <= smallest:
+                    late = f"the small change of the {what} takes effect at the next start"
+                    remarks.append(f"Compass {instance}: {late}.")
+        return remarks
 
     # --- beside the parameters ----------------------------------------------------------------------
 
