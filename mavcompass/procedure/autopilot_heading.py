@@ -205,7 +205,9 @@ class OwnHeading:
                     return
                 if self._context.now - began_s > _SLOPE_AT_LEAST_S * self._slowness + 1.0:
                     left_s = self._patience_s() - (self._context.now - began_s)
-                    how = f"the autopilot still follows, {abs(self.error_deg):.1f} deg off now"
+                    off_deg = abs(self.error_deg)
+                    how = "still follows" if off_deg > _GOOD_DEG else "has followed and is watched"
+                    how = f"the autopilot {how}, {off_deg:.1f} deg off now"
                     if not self.samples:
                         how = f"its own heading is measured once it rests ({unrest(self.desk.rest.why_not)})"
                     text = f"All is written; {how} (at most {left_s:.0f} s more; you may stop here)."

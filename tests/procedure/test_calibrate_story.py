@@ -54,7 +54,7 @@ def test_the_story_of_a_calibration(tmp_path: Path) -> None:
         SimulatedLink(vehicle), "sim:test", settings, on_show=shown.append, undo_directory=tmp_path
     )
     back = "The autopilot's estimator gets its own settings back; the calibration is not touched."
-    follows = "the autopilot still follows, # deg off now (at most {} s more; you may stop here)."
+    follows = "has followed and is watched, # deg off now (at most {} s more; you may stop here)."
     assert told(shown) == [
         ("connect", 0.0, "Waiting for the vehicle's heartbeat."),
         ("connect", None, "Found ArduPilot rover, system 1."),
@@ -74,7 +74,10 @@ def test_the_story_of_a_calibration(tmp_path: Path) -> None:
         ("prove", 0.95, "Checked by a turn"),
         ("undo", None, f"{back} Putting EK3_YAW_M_NSE and EK3_GBIAS_P_NSE back."),
         ("undo", None, "EK3_YAW_M_NSE and EK3_GBIAS_P_NSE read back as before."),
-        *[("heading", None, f"All is written; {follows.format(left_s)}") for left_s in (115, 114, 113)],
+        *[
+            ("heading", None, f"All is written; the autopilot {follows.format(left_s)}")
+            for left_s in (115, 114, 113)
+        ],
     ]
     # What it wants to hear, where it was not as fast already; at the end each is as it was.
     wanted = {mav.RawImu: 25.0, mav.Attitude: 10.0, mav.EkfStatusReport: 2.0, mav.SystemTime: 2.0}
