@@ -36,7 +36,7 @@ STOPS = r"It (no longer turns; it is (dis)?armed|is still turning, by \d+ deg/s,
 TOLD = {
     "stick": rf"The pilot (moved|holds) a stick\. {STOPS}",
     "mode": rf"The flight mode was changed to (HOLD|LOITER)\. {STOPS}",
-    "disarm": rf"The vehicle (was disarmed|is disarmed, so it cannot turn itself)\. {STOPS}",
+    "disarm": rf"The vehicle (was disarmed\. It said: .+|is disarmed, so it cannot turn itself)\. {STOPS}",
     "battery": r"The vehicle reports a failsafe\.|The battery is at 9 %\.|The flight mode was changed",
     "signal": r"Stopped by the system \(SIGTERM\)\.",
     "silence": r".*(said nothing|fell silent)",

@@ -13,6 +13,7 @@ from mavcompass import messages as mav
 from mavcompass.enums import EkfFlag, MavState
 from mavcompass.errors import Refused
 from mavcompass.kinds import HOVERING, Kind
+from mavcompass.printable import printable
 from mavcompass.procedure.modes import ModeKeeper, mode_name
 from mavcompass.procedure.turning import GyroAngle
 from mavcompass.procedure.vehicle_state import VehicleState, metres_from
@@ -31,8 +32,11 @@ _CIRCLING = (
     "A copter whose compass is far off circles instead of holding its place: calibrate it on the ground, "
     "turned by hand."
 )
+_ASTRAY = "What a compass steers that is far off goes astray: turn it by hand (--motion hand)."
 # No message for so long is a dead link (longer on slow telemetry).
 _SILENCE_S = 0.8
+# A failsafe says why beside what it does, which the next heartbeat tells.
+_LATELY_S = 2.0
 # A stick moved so far from where it was at the start is the pilot's hand.
 _STICK_US = 80
 # More than this is not a turn on the spot.
@@ -59,6 +63,7 @@ class MotionGuard:
     _sticks: tuple[int, ...] | None = None
     _place: mav.GlobalPositionInt | None = None
     _arrivals: list[float] = field(default_factory=list)
+    _said: list[tuple[float, str]] = field(default_factory=list)
     _heard_s: float = math.nan
     _looked_s: float = math.nan
     _silent_s: float = 0.0
@@ -85,6 +90,9 @@ class MotionGuard:
         """Learn the rhythm of the link: on slow telemetry silence is longer."""
         self._arrivals.append(heard.time_s)
         del self._arrivals[:-50]
+        if isinstance(heard.message, mav.Statustext):
+            self._said.append((heard.time_s, printable(heard.message.text)))
+            del self._said[:-20]
 
     def silence_limit_s(self) -> float:
         """Return how long the link may be silent before it counts as dead."""
@@ -98,10 +106,10 @@ class MotionGuard:
         if self._listened_in_vain_s(now_s) > self.silence_limit_s():
             return "The vehicle fell silent: the link is lost."
         if not self.state.armed:
-            return "The vehicle was disarmed."
+            return f"The vehicle was disarmed.{self._why(now_s)}"
         if self.modes.is_foreign():
             to = mode_name(self.kind, self.modes.autopilot, self.state.mode)
-            return f"The flight mode was changed to {to}."
+            return f"The flight mode was changed to {to}.{self._why(now_s)}"
         return (
             self._pilot()
             or self._power()
@@ -110,6 +118,11 @@ class MotionGuard:
             or self._fence()
             or self._strayed()
         )
+
+    def _why(self, now_s: float) -> str:
+        """Return what the vehicle said in the last seconds, if anything: a failsafe names itself."""
+        lately = dict.fromkeys(text for said_s, text in self._said if now_s - said_s < _LATELY_S)
+        return f" It said: {'; '.join(lately)}." if lately else ""
 
     def _listened_in_vain_s(self, now_s: float) -> float:
         """Return how long the vehicle said nothing while we listened: our own sleep is not its silence."""
@@ -184,7 +197,7 @@ class MotionGuard:
         drift_m = math.hypot(*metres_from(start, place))
         if drift_m > self.room_m:
             reason = f"The vehicle moved {drift_m:.1f} m away from where it started."
-            return f"{reason} {_CIRCLING}" if self.kind in HOVERING else reason
+            return f"{reason} {_CIRCLING if self.kind in HOVERING else _ASTRAY}"
         return self._too_low()
 
 
