@@ -183,12 +183,9 @@ class ArduPilotDialect(CompassDialect):
         more_refusals, more_remarks = _about_mounting(before, after, instance)
         return refusals + more_refusals, remarks + more_remarks
 
-    def unwatched(
-        self, before: Mapping[str, float], after: Mapping[str, float], written: Sequence[int]
-    ) -> list[str]:
+    def unwatched(self, before: Mapping[str, float], after: Mapping[str, float], instance: int) -> list[str]:
         """Say that its estimator follows slowly."""
-        slowly = "The autopilot's own heading follows a new calibration slowly: reboot it before it moves."
-        return [slowly] if written else []
+        return ["The autopilot's own heading follows a new calibration slowly: reboot it before it moves."]
 
     def uncommitted(
         self, before: Mapping[str, float], after: Mapping[str, float], judged: Iterable[int]

@@ -87,10 +87,8 @@ class CompassDialect(Dialect):
         """Check what a compass would hold: reasons against it, and what a person should know."""
 
     @abstractmethod
-    def unwatched(
-        self, before: Mapping[str, float], after: Mapping[str, float], written: Sequence[int]
-    ) -> list[str]:
-        """Tell what to know of values of some compasses that are written by hand.
+    def unwatched(self, before: Mapping[str, float], after: Mapping[str, float], instance: int) -> list[str]:
+        """Tell what to know of a compass's values that are written by hand.
 
         Nobody sees then what the autopilot makes of them; a calibration watches its heading.
         """
@@ -226,12 +224,11 @@ class CompassDialect(Dialect):
             known = parameter_remarks(self.autopilot, after, instance)
             doubts += [*against, *(remark.text for remark in known if remark.forbids)]
             remarks += [*notes, *(remark.text for remark in known if not remark.forbids)]
+            remarks += self.unwatched(parameters, after, instance) if changes and not touched else []
         doubts += self._motor_clash(parameters, after, judged)
         if late := tuple(c.name for c in changes if self.rules.wants_reboot(c.name)):
             takes = "takes" if len(late) == 1 else "take"
             remarks.append(f"{', '.join(late)} {takes} effect after a restart of the autopilot.")
-        if changes and not touched:
-            remarks += self.unwatched(parameters, after, [i for i in judged if i in there])
         return ParameterPlan(
             changes,
             refusals=tuple(dict.fromkeys(doubts)) if checked else (),

@@ -144,18 +144,15 @@ class PX4Dialect(CompassDialect):
         )
         return refusals + _about_mounting(before, after, instance), remarks
 
-    def unwatched(
-        self, before: Mapping[str, float], after: Mapping[str, float], written: Sequence[int]
-    ) -> list[str]:
+    def unwatched(self, before: Mapping[str, float], after: Mapping[str, float], instance: int) -> list[str]:
         """Say which changes are too small for PX4 to load while it runs."""
+        old, new = px4_sensor_correction(before, instance), px4_sensor_correction(after, instance)
         remarks = []
-        for instance in written:
-            old, new = px4_sensor_correction(before, instance), px4_sensor_correction(after, instance)
-            for what, part, smallest in _SMALLEST_LIVE_CHANGES:
-                moved = float(np.linalg.norm(np.subtract(getattr(new, part), getattr(old, part))))
-                if _ROUNDING < moved <= smallest:
-                    late = f"the small change of the {what} takes effect at the next start"
-                    remarks.append(f"Compass {instance}: {late}.")
+        for what, part, smallest in _SMALLEST_LIVE_CHANGES:
+            moved = float(np.linalg.norm(np.subtract(getattr(new, part), getattr(old, part))))
+            if _ROUNDING < moved <= smallest:
+                late = f"the small change of the {what} takes effect at the next start"
+                remarks.append(f"Compass {instance}: {late}.")
         return remarks
 
     # --- beside the parameters ----------------------------------------------------------------------

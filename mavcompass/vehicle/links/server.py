@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from mavcompass.vehicle.link import LinkStatistics
-from mavcompass.vehicle.links.autopilot import Autopilot, Said, SaidMessage
-from mavcompass.vehicle.links.pace import Pace
+from mavcompass.vehicle.links.autopilot import Autopilot, Pace, Said, SaidMessage
 from mavcompass.vehicle.stopping import StopRequest
 from mavcompass.vehicle.transport import Peer, Transport
 from mavcompass.vehicle.wire import FrameParser, FrameWriter, decode

@@ -11,8 +11,7 @@ from mavcompass.errors import LinkLost
 from mavcompass.messages import Incoming, Message
 from mavcompass.procedure.script import Show
 from mavcompass.vehicle.link import ONBOARD_COMPUTER, Identity, Link
-from mavcompass.vehicle.links.autopilot import Autopilot, Said
-from mavcompass.vehicle.links.pace import Pace
+from mavcompass.vehicle.links.autopilot import Autopilot, Pace, Said
 
 if TYPE_CHECKING:
     from mavcompass.simulation.vehicle import SimulatedAutopilot

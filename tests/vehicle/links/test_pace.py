@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from mavcompass.vehicle.links import pace as room
-from mavcompass.vehicle.links.pace import Pace
+from mavcompass.vehicle.links import autopilot as room
+from mavcompass.vehicle.links.autopilot import Pace
 
 
 class Wall:
