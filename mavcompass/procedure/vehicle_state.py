@@ -227,6 +227,7 @@ class VehicleState:
     utc: mav.SystemTime | None = None
     reporting: set[int] = field(default_factory=set)
     texts: deque[str] = field(default_factory=lambda: deque(maxlen=20))
+    _texts_s: deque[float] = field(default_factory=lambda: deque(maxlen=20))
 
     def hear(self, heard: mav.Incoming) -> None:
         """Take one message of the vehicle."""
@@ -243,10 +244,17 @@ class VehicleState:
             case mav.LocalPositionNed(x=x, y=y, z=z) if all(map(math.isfinite, (x, y, z))):
                 self.local = message
             case mav.Statustext():
-                begun = self.texts.pop() if message.chunk_seq and self.texts else ""
+                begun = ""
+                if message.chunk_seq and self.texts:
+                    begun, _ = self.texts.pop(), self._texts_s.pop()
                 self.texts.append(begun + printable(message.text.rstrip("\t")))  # PX4's mark of an event
+                self._texts_s.append(heard.time_s)
             case _ if (name := _KEPT.get(type(message))) is not None:
                 setattr(self, name, message)
+
+    def said_since(self, time_s: float) -> list[str]:
+        """List what it said from a time on, the earliest first."""
+        return [text for text, heard_s in zip(self.texts, self._texts_s, strict=True) if heard_s >= time_s]
 
     @property
     def armed(self) -> bool:

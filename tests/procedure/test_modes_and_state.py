@@ -246,4 +246,5 @@ def test_the_latest_of_what_it_says_is_kept_if_it_can_be() -> None:
     for piece, text in enumerate(("Arming denied: Resolve system health failures firs", "t\t")):
         state.hear(heard(7.0, mav.Statustext(text=text, id=9, chunk_seq=piece)))
     assert state.texts[-1] == "Arming denied: Resolve system health failures first"
+    assert state.said_since(-math.inf) == list(state.texts) and state.said_since(math.inf) == []
     assert printable("é°\t\x1b[2J") == r"é°\t\x1b[2J"

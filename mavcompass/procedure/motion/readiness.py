@@ -15,8 +15,6 @@ from typing import Literal
 from mavcompass.enums import MavCmd, MavResult
 from mavcompass.errors import NoReply, Refused
 from mavcompass.kinds import HOVERING
-from mavcompass.messages import Incoming, Statustext
-from mavcompass.printable import printable
 from mavcompass.procedure.commands import command
 from mavcompass.procedure.dialect import Overrides
 from mavcompass.procedure.modes import ModeKeeper, landing_mode, mode_name, turning_mode
@@ -71,7 +69,7 @@ class Readiness:
     by_controls: bool = False
     overrides: Overrides | None = None
     _armed_by_us: bool = field(default=False)
-    _said: list[str] = field(default_factory=list)
+    _asked_s: float = math.inf
     _in_the_air_by_us: bool = field(default=False)
 
     def make(self, context: Context) -> Script[None]:
@@ -160,13 +158,7 @@ class Readiness:
             yield from self._ask(context, MavCmd.COMPONENT_ARM_DISARM, 1.0, what="arming")
 
     def _ask(self, context: Context, number: MavCmd, *parameters: float, what: str) -> Script[None]:
-        """Ask it to arm, or why not, and note what it says meanwhile: texts come beside the answer."""
-
-        def note(incoming: Incoming) -> None:
-            if isinstance(incoming.message, Statustext):
-                self._said.append(printable(incoming.message.text))
-
-        context.listeners.append(note)
+        """Ask it to arm, or why not, and listen a while: texts come beside the answer."""
         try:
             with context.station(self.identity.autopilot == "px4"):
                 yield from command(context, number, *parameters, what=what)
@@ -174,20 +166,19 @@ class Readiness:
                 while context.now < end_s and not self.state.armed:
                     yield from pause(context, 0.1)
         finally:
-            context.listeners.remove(note)
             self._armed_by_us = self.state.armed
 
     def _try_to_arm(self, context: Context) -> Script[Mapping[str, float]]:
         """Ask it to arm; return what sets the compass's arming check aside, where that alone refuses."""
-        self._said.clear()
+        self._asked_s = context.now
         yield from self._ask(context, MavCmd.COMPONENT_ARM_DISARM, 1.0, what="arming")
         if self.state.armed or self.overrides is None:
             return {}
         exemption = self.overrides.dialect.arming_exemption
-        values = yield from exemption(context, arming_reasons(self._said))
+        values = yield from exemption(context, arming_reasons(self.state.said_since(self._asked_s)))
         if not values:  # PX4 says why when that begins, and when it is asked for it; not when it refuses
             yield from self._ask(context, MavCmd.RUN_PREARM_CHECKS, what="its arming checks")
-            values = yield from exemption(context, arming_reasons(self._said))
+            values = yield from exemption(context, arming_reasons(self.state.said_since(self._asked_s)))
         return values
 
     def _may_set_aside(self, context: Context, values: Mapping[str, float]) -> Script[bool]:
@@ -265,7 +256,8 @@ class Readiness:
 
     def _why(self) -> str:
         """Return why it does not arm, as it said when it was asked."""
-        reasons = dict.fromkeys(arming_reasons(self._said) or self._said[-1:])
+        said = self.state.said_since(self._asked_s)
+        reasons = dict.fromkeys(arming_reasons(said) or said[-1:])
         return f" It said: {'; '.join(reasons)}." if reasons else ""
 
     def _last_words(self) -> str:

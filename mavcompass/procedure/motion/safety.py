@@ -13,7 +13,6 @@ from mavcompass import messages as mav
 from mavcompass.enums import EkfFlag, MavState
 from mavcompass.errors import Refused
 from mavcompass.kinds import HOVERING, Kind
-from mavcompass.printable import printable
 from mavcompass.procedure.modes import ModeKeeper, mode_name
 from mavcompass.procedure.turning import GyroAngle
 from mavcompass.procedure.vehicle_state import VehicleState, metres_from
@@ -63,7 +62,6 @@ class MotionGuard:
     _sticks: tuple[int, ...] | None = None
     _place: mav.GlobalPositionInt | None = None
     _arrivals: list[float] = field(default_factory=list)
-    _said: list[tuple[float, str]] = field(default_factory=list)
     _heard_s: float = math.nan
     _looked_s: float = math.nan
     _silent_s: float = 0.0
@@ -90,9 +88,6 @@ class MotionGuard:
         """Learn the rhythm of the link: on slow telemetry silence is longer."""
         self._arrivals.append(heard.time_s)
         del self._arrivals[:-50]
-        if isinstance(heard.message, mav.Statustext):
-            self._said.append((heard.time_s, printable(heard.message.text)))
-            del self._said[:-20]
 
     def silence_limit_s(self) -> float:
         """Return how long the link may be silent before it counts as dead."""
@@ -121,7 +116,7 @@ class MotionGuard:
 
     def _why(self, now_s: float) -> str:
         """Return what the vehicle said in the last seconds, if anything: a failsafe names itself."""
-        lately = dict.fromkeys(text for said_s, text in self._said if now_s - said_s < _LATELY_S)
+        lately = dict.fromkeys(self.state.said_since(now_s - _LATELY_S))
         return f" It said: {'; '.join(lately)}." if lately else ""
 
     def _listened_in_vain_s(self, now_s: float) -> float:

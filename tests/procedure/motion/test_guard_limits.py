@@ -172,9 +172,9 @@ def test_a_mode_that_px4_was_changed_to_is_named() -> None:
 def test_a_failsafe_is_told_by_its_own_words() -> None:
     """As of ArduPilot 4.5.7, whose estimator gives up beside iron that is stronger than the Earth's field."""
     scene = Scene("boat")
-    scene.guard.hear(Incoming(scene.now_s - 9.0, 1, 1, mav.Statustext(text="Throttle armed")))
+    scene.state.hear(Incoming(scene.now_s - 9.0, 1, 1, mav.Statustext(text="Throttle armed")))
     for text in ("EKF variance", "EKF failsafe"):
-        scene.guard.hear(Incoming(scene.now_s, 1, 1, mav.Statustext(text=text)))
+        scene.state.hear(Incoming(scene.now_s, 1, 1, mav.Statustext(text=text)))
     scene.state.hear(Incoming(scene.now_s, 1, 1, mav.Heartbeat(base_mode=128, custom_mode=4)))
     said = "The flight mode was changed to HOLD. It said: EKF variance; EKF failsafe."
     assert scene.guard.check(scene.now_s + 0.1) == said
