@@ -253,7 +253,7 @@ def say_outcome(output: Output, report: CalibrationReport) -> None:
             output.say(styled(said, fg="red") if report.steers_off else said)
             if report.heading.not_loaded:
                 output.say(f"Land and disarm it, then: {outcome.again_command}")
-                output.say("And restart it. Or let it land: --land.")
+                output.say("Next time let it land by itself: --land.")
     elif report.undone:
         output.say("The old values are back on the vehicle: nothing has changed.")
     else:

@@ -248,6 +248,8 @@ def _write(action: str, source: str, file: Path | None, asked: Asked, output: Ou
         _say_plan(output, held, plan)
         if asked.dry_run or asked.yes:
             return None if asked.dry_run else ""
+        if not plan.changes:
+            return "The vehicle holds these values. Have it load them, in case it does not go by them yet?"
         return f"Write {counted(len(plan.changes), 'parameter')}?"
 
     def script(context: Context) -> Script[WriteReport]:
@@ -290,7 +292,7 @@ def _say_plan(output: Output, held: HeldParameters, plan: ParameterPlan) -> None
         if held.armed:
             then = "its heading will change while it is in use"
             if held.dialect.loads_disarmed:
-                then = "it may store its own over this when it lands: write it again then, and restart it"
+                then = "it loads this on the ground only, and may store its own over it: write it again then"
             output.say(f"Note: the vehicle is armed; {then}.")
     for remark in plan.remarks:
         output.say(f"Note: {remark}")
@@ -302,11 +304,15 @@ def _say_outcome(output: Output, report: WriteReport, dry_run: bool) -> None:
         for refusal in report.plan.refusals:
             output.say(f"It would be refused: {refusal}")
         held = "The vehicle already holds these values; nothing was written."
+        if report.loaded:
+            held = f"The vehicle already held these values; it goes by them now, by {report.loaded}."
         output.say("Nothing written (--dry-run)." if dry_run and report.plan.changes else held)
         return
     for remark in outcome.remarks:
         output.say(f"Note: {remark}")
     output.say(f"{counted(len(outcome.values), 'parameter')} written and read back.")
+    if report.loaded:
+        output.say(f"The vehicle goes by them now, by {report.loaded}.")
     if outcome.undo_file is not None:
         output.say(f"To undo: {outcome.restore_command}")
 

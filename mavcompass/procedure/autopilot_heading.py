@@ -20,7 +20,7 @@ from mavcompass.errors import LinkError, PoorCalibration, Refused
 from mavcompass.frames import FloatArray, wrap_pi
 from mavcompass.kinds import HOVERING
 from mavcompass.procedure.desk import Desk
-from mavcompass.procedure.dialect import Overrides
+from mavcompass.procedure.dialect import GIVEN_BACK, Overrides
 from mavcompass.procedure.report import AutopilotHeading
 from mavcompass.procedure.script import Context, Script, pause
 from mavcompass.track import Track
@@ -51,8 +51,6 @@ _SAMPLE_S = 1.2
 _TILT_KNOWN_RAD, _FIELD_KNOWN_MGAUSS, _LONGEST_SAMPLE_S = math.radians(0.5), 3.0, 5.0
 # Slower, ArduPilot's own rovers and boats count as stopped (ATC_STOP_SPEED).
 _STOPPED_MPS = 0.1
-# A parameter, or a calibration that was loaded, is in force by then.
-_TAKES_S = 0.6
 # Its filter lags, and so does its telemetry.
 _LAG_S = 0.8
 _PATIENCE_S, _PATIENCE_WITHOUT_A_WAY_S = 120.0, 45.0
@@ -61,7 +59,6 @@ _LANDING_PATIENCE_S, _LOADS_WITHIN_S = 60.0, 3.0
 # What was done so often and has not brought it right will not.
 _TIMES = 4
 _BELIEVING = "believing its compass for some seconds"
-_GIVEN_BACK = "The autopilot's estimator gets its own settings back; the calibration is not touched."
 
 
 def yaw_error_rad(
@@ -169,7 +166,7 @@ class OwnHeading:
         """Give the estimator its settings back, once what the old compass bent of its gyro is unlearned."""
         if self._follows:
             yield from pause(self._context, self._written_s + _BIAS_ALONE_S - self._context.now)
-            yield from self.overrides.release(self._context, _GIVEN_BACK)
+            yield from self.overrides.release(self._context, GIVEN_BACK)
             self._follows = False
 
     def _until_it_follows(self) -> Script[None]:
@@ -384,9 +381,10 @@ class OwnHeading:
         loads = desk.dialect.loads_disarmed
         if self._follows:
             how = yield from self._follow()
-        elif not (self.flying or (loads and (desk.state.armed or not self._values))):
-            believing = self._believing(loads)
-            how = yield from self.overrides.put_back_after(self._context, believing, _GIVEN_BACK)
+        elif loads and self._values and not desk.state.armed:
+            how = yield from self.overrides.load(self._context, desk.parameters, self._values)
+        elif not (loads or self.flying):
+            how = yield from self.overrides.put_back_after(self._context, self._believing(), GIVEN_BACK)
         self._has_a_way = bool(how) and self.by.count(how) < _TIMES
         if how:
             text = f"The autopilot was {off_deg:.1f} deg off; it now uses the new heading."
@@ -396,16 +394,11 @@ class OwnHeading:
             self._not_before_s = desk.rest.time_s + _LAG_S + self._sample_s
         return bool(how)
 
-    def _believing(self, loads: bool) -> Script[str]:
+    def _believing(self) -> Script[str]:
         values, context, began_s = self._prompt_values(), self._context, self._context.now
         believes = bool(values) and (yield from self.overrides.hold(context, values))
-        if loads:
-            yield from pause(context, _TAKES_S if believes else 0.0)
-            how = yield from self.desk.dialect.load_written(context, self._values)
-            yield from pause(context, _TAKES_S)
-        else:
-            how = yield from self._follow() if believes else self._switch()
-            yield from pause(context, began_s + _BIAS_ALONE_S - context.now if believes else 0.0)
+        how = yield from self._follow() if believes else self._switch()
+        yield from pause(context, began_s + _BIAS_ALONE_S - context.now if believes else 0.0)
         return how
 
     def _follow(self) -> Script[str]:

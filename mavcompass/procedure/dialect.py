@@ -15,9 +15,13 @@ from mavcompass.errors import MavCompassError, WriteFailed
 from mavcompass.frames import FloatArray
 from mavcompass.messages import telemetry
 from mavcompass.procedure.nameplate import Nameplate
-from mavcompass.procedure.script import Context, Script, T, nothing
+from mavcompass.procedure.script import Context, Script, T, nothing, pause
 from mavcompass.steering import compasses_of
 from mavcompass.track_builder import TrackBuilder
+
+GIVEN_BACK = "The autopilot's estimator gets its own settings back; the calibration is not touched."
+# A parameter, or a calibration that was loaded, is in force by then.
+TAKES_S = 0.6
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,6 +234,24 @@ class Overrides:
         plan = ParameterPlan(tuple(Change(n, v, v) for n, v in values.items()), for_now=True)
         if values:
             self._held.append((plan, (yield from self.dialect.write(context, plan, self.save_undo))))
+
+    def load(
+        self, context: Context, parameters: Mapping[str, float], written: Mapping[str, float]
+    ) -> Script[str]:
+        """Have an autopilot that `loads_disarmed`, and now is, load what was written, and follow its compass.
+
+        Returns how that brings its heading right, in words that follow "by"; "" where it does not.
+        """
+
+        def loading() -> Script[str]:
+            prompt = self.dialect.prompt_estimator(parameters, flying=False)
+            if prompt and (yield from self.hold(context, prompt)):
+                yield from pause(context, TAKES_S)
+            how = yield from self.dialect.load_written(context, written)
+            yield from pause(context, TAKES_S)
+            return how
+
+        return (yield from self.put_back_after(context, loading(), GIVEN_BACK))
 
     def put_back_left(self, context: Context, cut_short: CutShort) -> Script[dict[str, float]]:
         """Put back what earlier runs have left, which were killed, and return it.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from mavcompass.errors import BadRecording, Refused, UsageError
 from mavcompass.messages import Incoming
-from mavcompass.procedure.dialect import ParameterPlan, SaveUndo, WriteOutcome
+from mavcompass.procedure.dialect import Overrides, ParameterPlan, SaveUndo, WriteOutcome
 from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.script import Ask, Context, Script, ask
 from mavcompass.procedure.vehicle_state import VehicleState, find_vehicle
@@ -61,11 +61,17 @@ class HeldParameters:
 
 @dataclass(frozen=True, slots=True)
 class WriteReport:
-    """Say what a write was to do and what became of it; `outcome` is None where nothing was sent."""
+    """Say what a write was to do and what became of it.
+
+    Attributes:
+        outcome: None where there was nothing to change, or no consent.
+        loaded: how an autopilot that loads a calibration on the ground was made to; "" where it was not.
+    """
 
     held: HeldParameters
     plan: ParameterPlan
     outcome: WriteOutcome | None
+    loaded: str = ""
 
 
 def read_vehicle(context: Context, source: str, system: int | None = None) -> Script[HeldParameters]:
@@ -146,8 +152,10 @@ def write_values(
 
     `checked` refuses what is out of range; unchecked (putting back what was there) it is a remark.
     `consent` sees the plan and returns the question to ask, "" to write without asking, or None to
-    write nothing. Raises Refused where the plan must not be written, another program works on the vehicle,
-    or the person says no.
+    write nothing. An autopilot that loads a calibration on the ground only is made to, also where it holds
+    these values already: it may not go by them.
+    Raises Refused where the plan must not be written, another program works on the vehicle, or the person
+    says no.
     """
     held = yield from read_vehicle(context, source, system)
     vehicle = yield from held.dialect.claim(context, held.values)
@@ -155,12 +163,18 @@ def write_values(
     others = yield from held.dialect.read_typed(context, [name for name in values if name not in held.typed])
     held = replace(held, typed={**held.typed, **others})
     plan = held.dialect.plan_values(held.values, values, checked, held.reporting)
+    loads = held.dialect.loads_disarmed and held.armed is False
     question = consent(held, plan)
-    if question is None or (not plan.changes and not plan.refusals):
+    if question is None or not (plan.changes or plan.refusals or loads):
         return WriteReport(held, plan, None)
     if plan.refusals:
         raise Refused(" ".join(plan.refusals), "Nothing was written.")
     if question and not (yield from ask(context, Ask(question))):
         raise Refused("Cancelled. Nothing written.", "Run it again to be asked again.")
-    outcome = yield from held.dialect.write(context, plan, save_undo)
-    return WriteReport(held, plan, outcome)
+    outcome = (yield from held.dialect.write(context, plan, save_undo)) if plan.changes else None
+    if not loads:
+        return WriteReport(held, plan, outcome)
+    overrides = Overrides(held.dialect, save_undo)
+    if outcome is None:  # else its record leads back from what is changed to have it loaded, too
+        yield from overrides.keep(context, tuple(values))
+    return WriteReport(held, plan, outcome, (yield from overrides.load(context, held.values, values)))

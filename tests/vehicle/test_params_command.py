@@ -359,4 +359,26 @@ def test_an_armed_vehicle_is_written_to_with_a_warning(
     hangar.autopilot = SimulatedAutopilot("px4-copter", seed=1, armed=True)
     compass_file.write_text("CAL_MAG0_XOFF,0.25\n")
     assert main(["params", "write", SOURCE, str(compass_file), "--yes"]) == 0
-    assert "its own over this when it lands: write it again then, and restart it" in capsys.readouterr().out
+    assert "store its own over it: write it again then" in capsys.readouterr().out
+
+
+def test_what_a_px4_holds_but_does_not_go_by_is_loaded(
+    hangar: Hangar, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    vehicle = hangar.autopilot = SimulatedAutopilot("px4-copter", seed=1, armed=True)
+    compasses, before = vehicle.firmware.compasses, held(capsys)
+    file = tmp_path / "compass.param"
+    file.write_text(f"CAL_MAG0_XOFF,{before['CAL_MAG0_XOFF'] + 0.003}\n")  # too little to be loaded by itself
+    write = ["params", "write", SOURCE, str(file)]
+    assert main([*write, "--yes"]) == 0
+    flown = compasses.correction(1)
+    assert compasses.held(1) != flown
+    vehicle.firmware.status.armed = False
+    assert main([*write, "--dry-run"]) == 0
+    assert "nothing was written" in capsys.readouterr().out and compasses.correction(1) == flown
+    assert main([*write, "--yes"]) == 0
+    assert "already held these values; it goes by them now" in capsys.readouterr().out
+    assert compasses.correction(1) == compasses.held(1)
+    # The last undo file is still the one that leads back to what was flown with.
+    assert main(["params", "restore", SOURCE, "--yes"]) == 0
+    assert held(capsys) == before and compasses.correction(1) == compasses.held(1)

@@ -120,10 +120,11 @@ class Readiness:
                 f"Switch it to {there}, or allow that with --set-mode.",
             )
         context.show("ready", f"Changing the flight mode to {there}.")
+        self._asked_s = context.now
         while not (yield from self.modes.change(context, wanted)):
-            if not (yield from self._starts(context, self._last_words())):
+            if not (yield from self._starts(context, self._why())):
                 raise Refused(
-                    f"The vehicle refused the flight mode {there}.{self._last_words()}",
+                    f"The vehicle refused the flight mode {there}.{self._why()}",
                     "Wait until it knows its position, then run again.",
                 )
 
@@ -211,7 +212,7 @@ class Readiness:
         place = self.state.place
         ground_m = place.alt * 1e-3 if px4 and place is not None else 0.0
         free = math.nan if px4 else 0.0
-        self._in_the_air_by_us = True
+        self._in_the_air_by_us, self._asked_s = True, context.now
         if px4:
             self.modes.before.append(self.state.mode)
             self.modes.ours |= {_PX4_TAKEOFF, _PX4_HOLD}
@@ -229,7 +230,7 @@ class Readiness:
                 yield from pause(context, 0.1)
         if self._height_m() < 0.93 * height_m:
             raise Refused(
-                f"The vehicle did not take off.{self._last_words()}",
+                f"The vehicle did not take off.{self._why()}",
                 "Take off by hand and run again.",
             )
         yield from pause(context, 2.0)  # to come to rest
@@ -255,11 +256,7 @@ class Readiness:
         return 0.0 if self.state.place is None else self.state.place.relative_alt * 1e-3
 
     def _why(self) -> str:
-        """Return why it does not arm, as it said when it was asked."""
+        """Return why it does not, as it said since it was asked."""
         said = self.state.said_since(self._asked_s)
         reasons = dict.fromkeys(arming_reasons(said) or said[-1:])
         return f" It said: {'; '.join(reasons)}." if reasons else ""
-
-    def _last_words(self) -> str:
-        """Return what the vehicle said last, if anything."""
-        return f" It said: {self.state.texts[-1]}." if self.state.texts else ""

@@ -183,7 +183,7 @@ class ArduPilotDialect(CompassDialect):
         more_refusals, more_remarks = _about_mounting(before, after, instance)
         return refusals + more_refusals, remarks + more_remarks
 
-    def unwatched(self, before: Mapping[str, float], after: Mapping[str, float], instance: int) -> list[str]:
+    def unwatched(self) -> list[str]:
         """Say that its estimator follows slowly."""
         return ["The autopilot's own heading follows a new calibration slowly: reboot it before it moves."]
 

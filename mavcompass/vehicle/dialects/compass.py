@@ -86,12 +86,9 @@ class CompassDialect(Dialect):
     ) -> Judgement:
         """Check what a compass would hold: reasons against it, and what a person should know."""
 
-    @abstractmethod
-    def unwatched(self, before: Mapping[str, float], after: Mapping[str, float], instance: int) -> list[str]:
-        """Tell what to know of a compass's values that are written by hand.
-
-        Nobody sees then what the autopilot makes of them; a calibration watches its heading.
-        """
+    def unwatched(self) -> list[str]:
+        """Tell what to know where values of a compass are written by hand, and nobody watches its heading."""
+        return []
 
     def in_order(self, changes: tuple[Change, ...]) -> tuple[Change, ...]:
         """Put changes in the order of writing, which is undone from its end."""
@@ -224,7 +221,7 @@ class CompassDialect(Dialect):
             known = parameter_remarks(self.autopilot, after, instance)
             doubts += [*against, *(remark.text for remark in known if remark.forbids)]
             remarks += [*notes, *(remark.text for remark in known if not remark.forbids)]
-            remarks += self.unwatched(parameters, after, instance) if changes and not touched else []
+            remarks += self.unwatched() if changes and not touched else []
         doubts += self._motor_clash(parameters, after, judged)
         if late := tuple(c.name for c in changes if self.rules.wants_reboot(c.name)):
             takes = "takes" if len(late) == 1 else "take"

@@ -7,8 +7,6 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
-import numpy as np
-
 from mavcompass.calibration.result import OwnFinding
 from mavcompass.compass_parameters import (
     PX4_ANGLES,
@@ -32,12 +30,6 @@ from mavcompass.vehicle.dialects.taking_over import load_px4, prompt_ekf2
 from mavcompass.vehicle.parameters.rules import check_correction
 from mavcompass.vehicle.parameters.values import Encoding, Parameter
 
-# PX4 loads a change of offsets, diagonal, rest during the run only where it is longer, or by `load_written`.
-_SMALLEST_LIVE_CHANGES = (
-    ("offsets", "offsets_mgauss", 5.0),
-    ("scales", "diagonals", 0.01),
-    ("cross terms", "off_diagonals", 0.01),
-)
 # Turning a correction into body axes and back leaves this much, in gauss and as a factor.
 _ROUNDING = 1e-6
 # Seen in its source and on it (August 2024): COM_ARM_MAG_ANG is how far apart compasses may point (-1: not
@@ -143,17 +135,6 @@ class PX4Dialect(CompassDialect):
             new, self.rules, f"Compass {instance}", self.rules.offset_largest_mgauss
         )
         return refusals + _about_mounting(before, after, instance), remarks
-
-    def unwatched(self, before: Mapping[str, float], after: Mapping[str, float], instance: int) -> list[str]:
-        """Say which changes are too small for PX4 to load while it runs."""
-        old, new = px4_sensor_correction(before, instance), px4_sensor_correction(after, instance)
-        remarks = []
-        for what, part, smallest in _SMALLEST_LIVE_CHANGES:
-            moved = float(np.linalg.norm(np.subtract(getattr(new, part), getattr(old, part))))
-            if _ROUNDING < moved <= smallest:
-                late = f"the small change of the {what} takes effect at the next start"
-                remarks.append(f"Compass {instance}: {late}.")
-        return remarks
 
     # --- beside the parameters ----------------------------------------------------------------------
 

@@ -48,8 +48,13 @@ class Vehicle:
         for message in (heartbeat, place):
             self.state.hear(mav.Incoming(self.now_s, 1, 1, message))
 
+    def says(self, text: str) -> None:
+        self.state.hear(mav.Incoming(self.now_s, 1, 1, mav.Statustext(text=text)))
+
     def take(self, asked: mav.CommandLong) -> None:
         self.commands.append((round(self.now_s, 2), asked))
+        if self.result != MavResult.ACCEPTED:
+            self.says("Arm: too windy")
         if asked.command == MavCmd.DO_SET_MODE and self.takes_modes:
             px4 = self.identity.autopilot == "px4"
             main, sub = int(asked.param2), int(asked.param3)
@@ -156,10 +161,10 @@ def test_a_climb_has_forty_seconds(climbs_mps: float, is_up: bool) -> None:
 def test_a_take_off_that_is_refused_is_not_waited_for_and_says_why() -> None:
     vehicle = Vehicle(takeoff_m=10.0)
     vehicle.result = MavResult.DENIED
-    vehicle.state.hear(mav.Incoming(0.0, 1, 1, mav.Statustext(text="PreArm: too windy")))
+    vehicle.says("PreArm: no fence")  # before it was asked
     error = vehicle.makes_ready().error
     assert isinstance(error, Refused)
-    assert error.what == "The vehicle did not take off. It said: PreArm: too windy."
+    assert error.what == "The vehicle did not take off. It said: too windy."
     assert vehicle.now_s < 0.5
 
 
@@ -206,7 +211,8 @@ def test_the_mode_is_changed_with_leave_only_and_put_back() -> None:
     stubborn.mode, stubborn.takes_modes, stubborn.result = int(CopterMode.LOITER), False, MavResult.DENIED
     stubborn.tell()
     error = stubborn.makes_ready().error
-    assert isinstance(error, Refused) and error.what == "The vehicle refused the flight mode GUIDED."
+    assert isinstance(error, Refused)
+    assert error.what == "The vehicle refused the flight mode GUIDED. It said: too windy."
 
 
 @pytest.mark.parametrize(
