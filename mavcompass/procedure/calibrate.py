@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 from mavcompass import messages as mav
-from mavcompass.calibration.observation import latest_dwells
 from mavcompass.calibration.result import CalibrationResult, OwnFinding, summary
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkLost, PoorCalibration, Refused
-from mavcompass.kinds import HOVERING
 from mavcompass.procedure.autopilot_heading import OwnHeading
 from mavcompass.procedure.commands import MessageRates
 from mavcompass.procedure.desk import Desk
-from mavcompass.procedure.dialect import CutShort, Dialect, Overrides, SaveUndo, WriteOutcome
+from mavcompass.procedure.dialect import Change, CutShort, Dialect, Overrides, SaveUndo, WriteOutcome
 from mavcompass.procedure.motion import Mobility
 from mavcompass.procedure.positions import Mover, Window, dwell, prove, stood_since, turn_through, visit
 from mavcompass.procedure.report import CalibrationReport
@@ -42,11 +41,9 @@ _PROOF_ENOUGH_DEG = 0.5
 # may undo what it was told to turn.
 _PROOF_TURNS = 3
 _UNPROVEN = "Not proven by a turn: restart the autopilot, then see with the check that all is right."
-# The Earth's horizontal and vertical field in temperate latitudes, where the place is not known.
-_TYPICAL_MGAUSS = (220.0, 430.0)
 _RESTART = "Once its own calibration has begun the autopilot arms only after a restart (--reboot)."
-# A compass that is only a witness is averaged over the same stretches.
-_WITNESS_HZ = 10.0
+# ArduPilot's estimator counts on its compass for no more while nothing is set (EK3_YAW_M_NSE, half a radian).
+_ROUGH_DEG = math.degrees(0.5)
 # Silent for so long after a stop, the vehicle was not stopped but lost.
 _LOST_S = 2.5
 
@@ -101,7 +98,9 @@ class _Calibration:
     overrides: Overrides
     own: OwnHeading
     writer: Writer | None = None
+    mobility: Mobility | None = None
     found: Found = field(default_factory=dict)
+    rough: tuple[Change, ...] = ()
     restart: bool = False
 
     @property
@@ -153,9 +152,9 @@ class _Calibration:
         """Visit the positions, solve, write, prove; give the vehicle back however it ends."""
         desk, settings, finished = self.desk, self.settings, False
         wanted = (settings.moved_by, settings.turn_by, settings.permissions)
-        mobility = Mobility(desk, *wanted, self.overrides, settings.continuous)
+        self.mobility = mobility = Mobility(desk, *wanted, self.overrides, settings.continuous)
         self.writer = writer = Writer(
-            desk, self.overrides.save_undo, settings.writing == "ask", self.own.expect
+            desk, self.overrides.save_undo, settings.writing == "ask", self.make_room
         )
         try:
             mover = yield from mobility.take_charge()
@@ -202,33 +201,10 @@ class _Calibration:
         desk.context.show("turn", "Its own calibration has ended.")
 
     def wanted_rates(self) -> dict[type[mav.Message], float]:
-        """List the messages to ask for: fast ones for the calibration, slow ones for safety."""
-        identity, rate_hz = self.desk.identity, self.settings.rate_hz
-        wanted = self.desk.imu_rates(self.instances, rate_hz)
-        first = next(iter(wanted))
-        # The other compasses are witnesses.
-        wanted |= {
-            kind: min(rate_hz, _WITNESS_HZ)
-            for kind in self.desk.imu_rates(self.desk.instances, rate_hz)
-            if kind not in wanted
-        }
-        wanted[mav.Attitude] = min(rate_hz, 10.0)
-        # The mode and the arming are told by heartbeats only: one a second is late for ending a motion.
-        wanted |= dict.fromkeys((mav.GlobalPositionInt, mav.RcChannels, mav.SysStatus, mav.Heartbeat), 4.0)
-        # A second antenna tells a witness's heading.
-        wanted |= dict.fromkeys((mav.EkfStatusReport, mav.SystemTime, mav.GpsRawInt), 2.0)
+        """List the messages to ask for."""
+        wanted = self.desk.calibration_rates(self.instances, self.settings.rate_hz)
         if self.settings.by_autopilot:
             wanted |= dict.fromkeys((mav.MagCalProgress, mav.MagCalReport), 4.0)
-        if identity.kind in HOVERING:
-            # What hovers sways and shakes: its tilt is told by the receiver's velocity and by as many
-            # readings as there are, see `attitude.level`.
-            wanted[mav.GpsRawInt] = 5.0
-            wanted[first] = 2.0 * rate_hz
-        if identity.autopilot == "px4":
-            del wanted[mav.EkfStatusReport]
-            wanted[mav.LocalPositionNed] = 4.0
-            # SCALED_IMU is one reading of 5 ms, not a mean: the more of them, the less noise.
-            wanted[first] = 4.0 * rate_hz
         return wanted
 
     def visit(self, mover: Mover, seen: Sequence[Window] = ()) -> Script[list[Window]]:
@@ -239,9 +215,42 @@ class _Calibration:
         desk, settings = self.desk, self.settings
         go = turn_through if settings.continuous else visit
         how = (settings.planned, settings.step_rad, settings.dwell)
-        windows = yield from go(desk.context, mover, *how, seen, self.own.keep_up, self.sureness_deg)
+        desk.now_in_force({change.name: change.new for change in self.rough})
+        windows = yield from go(
+            desk.context, mover, *how, seen, self.own.keep_up, self.sureness_deg, self.know_roughly
+        )
         yield from mover.release(desk.context)
+        # Until the write it stands, and what is found is held against what was in force at the beginning.
+        desk.now_in_force({change.name: change.old for change in self.rough})
         return windows
+
+    def know_roughly(self, windows: list[Window]) -> Script[None]:
+        """Have what a quarter turn has shown in force where the vehicle would go astray by what is.
+
+        Until the write, with a way back as of any. A rover with 300 mG of iron, more than the Earth's 230,
+        was 15 m away before its third quarter turn. In the air a yaw that jumps is worse than one that is
+        off, and PX4 loads nothing while it is armed.
+        """
+        desk, mobility = self.desk, self.mobility
+        late = self.own.flying or desk.dialect.loads_disarmed or self.settings.writing == "never"
+        if len(windows) != 2 or late or mobility is None or not mobility.steers_astray:
+            return
+        roughly = replace(self.settings, method="touch-up", max_heading_error_deg=_ROUGH_DEG)
+        with suppress(PoorCalibration):
+            results = self.solve(windows, roughly).results
+            corrections = {r.instance: r.correction for r in results if r.accepted and not r.already_right}
+            plan = desk.dialect.plan(desk.parameters, corrections, reporting=desk.state.reporting)
+            self.rough = () if plan.refusals else plan.changes
+        rough = {change.name: change.new for change in self.rough}
+        if rough and (yield from self.overrides.hold(desk.context, rough)):
+            desk.now_in_force(rough)
+            yield from self.own.keep_up()
+
+    def make_room(self) -> Script[None]:
+        """Put back what was known roughly, and have the estimator expect what is written now."""
+        if self.rough:
+            yield from self.overrides.release(self.desk.context, "It has turned.")
+        yield from self.own.expect()
 
     @property
     def heard(self) -> tuple[int, ...]:
@@ -254,23 +263,16 @@ class _Calibration:
 
     def sureness_deg(self, start_s: float, end_s: float) -> float:
         """Return how far the heading by one still stretch may be off, 1 sigma, of the worst compass."""
-        track = self.desk.builder.build()
-        try:
-            seen = latest_dwells(track, self.heard, start_s, end_s)
-        except (PoorCalibration, KeyError):
-            return math.inf
-        world = earth_field_of(track, self.settings.year)
-        across, down = _TYPICAL_MGAUSS if world is None else (world.horizontal_mgauss, world.ned_mgauss[2])
-        return max(math.degrees(dwell.heading_sigma_rad(across, down)) for dwell in seen)
+        return self.desk.sureness_deg(self.heard, start_s, end_s, self.settings.year)
 
-    def solve(self, windows: list[Window]) -> CalibrationReport:
+    def solve(self, windows: list[Window], settings: CalibrateSettings | None = None) -> CalibrationReport:
         """Solve and judge every compass on what was recorded."""
-        desk = self.desk
+        desk, settings = self.desk, settings or self.settings
         track = desk.builder.build()
-        world = earth_field_of(track, self.settings.year)
+        world = earth_field_of(track, settings.year)
         heard = self.heard
-        results = self.services.solve(track, heard, windows, world, self.settings, self.found)
-        if self.settings.rewrite:
+        results = self.services.solve(track, heard, windows, world, settings, self.found)
+        if settings.rewrite:
             results = tuple(replace(result, already_right=False) for result in results)
         return CalibrationReport(
             identity=desk.identity,

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from mavcompass import messages as mav
-from mavcompass.calibration.observation import WHEELED
-from mavcompass.errors import Refused
+from mavcompass.calibration.observation import WHEELED, latest_dwells
+from mavcompass.earth_field import earth_field_of
+from mavcompass.errors import PoorCalibration, Refused
+from mavcompass.kinds import HOVERING
 from mavcompass.procedure.dialect import Dialect, describe_compasses
 from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.positions import Rest
@@ -18,6 +21,10 @@ from mavcompass.track_builder import TrackBuilder
 
 # Of a compass without an id only its readings tell; what streams at all does so twice in this time.
 _FIRST_READING_S = 2.0
+# A compass that is only a witness is averaged over the same stretches.
+_WITNESS_HZ = 10.0
+# The Earth's horizontal and vertical field in temperate latitudes, where the place is not known.
+_TYPICAL_MGAUSS = (220.0, 430.0)
 
 
 @dataclass(slots=True)
@@ -102,6 +109,44 @@ class Desk:
         """List the messages that carry these compasses; the first one's brings the gyro along."""
         kinds = carriers(self.identity.autopilot)
         return {kinds[i]: rate_hz for i in sorted({1, *instances}) if i in kinds}
+
+    def calibration_rates(self, instances: tuple[int, ...], rate_hz: float) -> dict[type[mav.Message], float]:
+        """List the messages that a calibration needs: fast ones for the readings, slow ones for safety."""
+        identity, wanted = self.identity, self.imu_rates(instances, rate_hz)
+        first = next(iter(wanted))
+        # The other compasses are witnesses.
+        wanted |= {
+            kind: min(rate_hz, _WITNESS_HZ)
+            for kind in self.imu_rates(self.instances, rate_hz)
+            if kind not in wanted
+        }
+        wanted[mav.Attitude] = min(rate_hz, 10.0)
+        # The mode and the arming are told by heartbeats only: one a second is late for ending a motion.
+        wanted |= dict.fromkeys((mav.GlobalPositionInt, mav.RcChannels, mav.SysStatus, mav.Heartbeat), 4.0)
+        # A second antenna tells a witness's heading.
+        wanted |= dict.fromkeys((mav.EkfStatusReport, mav.SystemTime, mav.GpsRawInt), 2.0)
+        if identity.kind in HOVERING:
+            # What hovers sways and shakes: its tilt is told by the receiver's velocity and by as many
+            # readings as there are, see `attitude.level`.
+            wanted[mav.GpsRawInt] = 5.0
+            wanted[first] = 2.0 * rate_hz
+        if identity.autopilot == "px4":
+            del wanted[mav.EkfStatusReport]
+            wanted[mav.LocalPositionNed] = 4.0
+            # SCALED_IMU is one reading of 5 ms, not a mean: the more of them, the less noise.
+            wanted[first] = 4.0 * rate_hz
+        return wanted
+
+    def sureness_deg(self, instances: tuple[int, ...], start_s: float, end_s: float, year: float) -> float:
+        """Return how far the heading by one still stretch may be off, 1 sigma, of the worst of compasses."""
+        track = self.builder.build()
+        try:
+            seen = latest_dwells(track, instances, start_s, end_s)
+        except (PoorCalibration, KeyError):
+            return math.inf
+        world = earth_field_of(track, year)
+        across, down = _TYPICAL_MGAUSS if world is None else (world.horizontal_mgauss, world.ned_mgauss[2])
+        return max(math.degrees(dwell.heading_sigma_rad(across, down)) for dwell in seen)
 
     def duration_s(self) -> float:
         """Return how long the desk has been open."""

@@ -123,6 +123,11 @@ class Mobility:
     def _is_ackermann(self) -> bool:
         return self.desk.parameters.get("SERVO1_FUNCTION") == _ACKERMANN_STEERING
 
+    @property
+    def steers_astray(self) -> bool:
+        """Tell whether the vehicle itself has refused to move by its compass as that is."""
+        return self._readiness is not None and self._readiness.exempted
+
     def end(self, in_a_hurry: bool) -> Script[None]:
         """Stop any motion, end the watch, and give the vehicle back as it was taken."""
         context = self.desk.context

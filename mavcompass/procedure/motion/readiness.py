@@ -60,7 +60,11 @@ def arming_reasons(said: Sequence[str]) -> list[str]:
 
 @dataclass(slots=True)
 class Readiness:
-    """Make ready, and put back: the flight mode, the arming, the place on the ground."""
+    """Make ready, and put back: the flight mode, the arming, the place on the ground.
+
+    Attributes:
+        exempted: True where it armed only with the compass's check set aside.
+    """
 
     identity: VehicleIdentity
     state: VehicleState
@@ -68,6 +72,7 @@ class Readiness:
     permissions: Permissions = Permissions()
     by_controls: bool = False
     overrides: Overrides | None = None
+    exempted: bool = False
     _armed_by_us: bool = field(default=False)
     _asked_s: float = math.inf
     _in_the_air_by_us: bool = field(default=False)
@@ -146,6 +151,7 @@ class Readiness:
             # With the check aside PX4 takes a yaw over, calls it not stable while it follows a compass
             # that it doubts, and keeps it when the check is back.
             yield from self._insist(context)
+            self.exempted = self.state.armed
         if not self.state.armed:
             raise Refused(
                 f"The vehicle refused to arm.{self._why()}",

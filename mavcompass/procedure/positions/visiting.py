@@ -305,11 +305,13 @@ def visit(
     seen: Sequence[Window] = (),
     at_each: Callable[[], Script[None]] | None = None,
     sureness: Sureness | None = None,
+    between: Callable[[list[Window]], Script[None]] | None = None,
 ) -> Script[list[Window]]:
     """Visit positions, `step_rad` apart as well as the vehicle can; the first is where it is.
 
     With `count` positions `seen` already, one more is visited, half a step between those. `at_each` is
-    done at each that the vehicle turns on from, while it dwells; `sureness` ends its dwell, see `dwell`.
+    done at each that the vehicle turns on from, while it dwells, and `between` before it turns on, with what
+    was visited; `sureness` ends its dwell, see `dwell`.
     """
     windows, wanted = list(seen), max(count, len(seen) + 1)
     if seen and at_each is not None:
@@ -333,6 +335,8 @@ def visit(
         window = yield from dwell(context, mover, settings, sureness, meanwhile)
         if mover.accept(context, window.turned_rad):
             windows.append(window)
+        if between is not None and len(windows) < wanted:
+            yield from between(windows)
     return windows
 
 
@@ -356,6 +360,7 @@ def turn_through(
     seen: Sequence[Window] = (),
     at_first: Callable[[], Script[None]] | None = None,
     sureness: Sureness | None = None,
+    between: Callable[[list[Window]], Script[None]] | None = None,
 ) -> Script[list[Window]]:
     """Stand at the first position, then turn through all of them without a stop, back to the first.
 
@@ -363,7 +368,7 @@ def turn_through(
     needed for the iron. How late the compass is read is only a constant heading while the rate stays; what
     shows as the rate changes is part of the fit.
     With positions `seen` already it only turns on by one step. `at_first` is done while it stands;
-    `sureness` ends its dwell, see `dwell`.
+    `sureness` ends its dwell, see `dwell`; nothing is `between`.
     """
     windows, angle_rad, rest, gyro = list(seen), step_rad * (1 if seen else count), mover.rest, mover.gyro
     if not windows:

@@ -66,9 +66,18 @@ def test_it_is_calibrated_in_one_go_and_all_but_the_calibration_is_as_before(
         return None if vehicle.time_s > since_s[0] + 8.0 else "Preflight Fail: heading estimate not stable"
 
     monkeypatch.setattr(Arming, "refusal", slowly)
-    before = dict(vehicle.firmware.store.values)
-    shown: list[str] = []
+    before, off_deg = dict(vehicle.firmware.store.values), dict[str, float]()
+
+    class Shown(list[str]):
+        def append(self, text: str) -> None:
+            super().append(text)
+            off_deg[text] = heading_error_rms_deg(vehicle)
+
+    shown = Shown()
     report = calibrated(vehicle, tmp_path, settings(kind, "yes"), shown=shown)
+    assert off_deg["Turning to position 2 of 4."] > 45.0
+    if kind == "rover":  # on the ground it does not turn on by a compass that is so far off
+        assert off_deg["Turning to position 3 of 4."] < 15.0
     assert not kind.startswith("px4") or since_s[-1] > since_s[0] + 8.0
     assert any("with that check set aside" in text for text in shown), shown
     assert report.written and heading_error_rms_deg(vehicle) < 0.75
