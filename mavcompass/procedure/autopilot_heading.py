@@ -9,21 +9,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from mavcompass.calibration.observation import latest_dwells, unrest
+from mavcompass.calibration.observation import unrest
 from mavcompass.calibration.result import CalibrationResult, surest
-from mavcompass.earth_field import EarthField, earth_field_of
+from mavcompass.earth_field import earth_field_of
 from mavcompass.errors import LinkError, PoorCalibration, Refused
-from mavcompass.frames import FloatArray, wrap_pi
+from mavcompass.frames import FloatArray
 from mavcompass.kinds import HOVERING
 from mavcompass.procedure.desk import Desk
 from mavcompass.procedure.dialect import GIVEN_BACK, Overrides
-from mavcompass.procedure.report import AutopilotHeading
+from mavcompass.procedure.report import AutopilotHeading, yaw_error_rad
 from mavcompass.procedure.script import Context, Script, pause
-from mavcompass.track import Track
 
 # Less is not worth an intervention: it is what a filter leaves whose compass is perfect, of the gyro's drift
 # (0.5 to 1.6 degrees on ArduPilot 4.5.7), and three times what one reading of the compass tells (0.25).
@@ -59,32 +58,6 @@ _LANDING_PATIENCE_S, _LOADS_WITHIN_S = 60.0, 3.0
 # What was done so often and has not brought it right will not.
 _TIMES = 4
 _BELIEVING = "believing its compass for some seconds"
-
-
-def yaw_error_rad(
-    track: Track,
-    result: CalibrationResult,
-    world: EarthField,
-    start_s: float,
-    end_s: float,
-    turned: FloatArray | None = None,
-) -> tuple[float, float, float]:
-    """Return the autopilot's yaw less a calibrated compass's true heading at rest; that one's sigma; the yaw.
-
-    The sigma is of noise, tilt and unrest over the stretch, not of the calibration. `turned` (3, 3) makes
-    what was recorded what the compass reads as it is mounted.
-    Raises PoorCalibration where the recording holds too little of either.
-    """
-    attitude = track.attitude_rad
-    said = None if attitude is None else attitude.between(start_s, end_s)
-    if said is None or not len(said):
-        raise PoorCalibration("The autopilot did not tell its attitude.")
-    (seen,) = latest_dwells(track, (result.instance,), start_s, end_s)
-    if turned is not None:
-        seen = replace(seen, mean_mgauss=turned @ seen.mean_mgauss)
-    yaw = float(np.angle(np.exp(1j * said.values[:, 2]).mean()))
-    sigma = seen.heading_sigma_rad(world.horizontal_mgauss, world.ned_mgauss[2])
-    return float(wrap_pi(yaw - seen.heading_rad(result.correction) - world.declination_rad)), sigma, yaw
 
 
 @dataclass(slots=True)

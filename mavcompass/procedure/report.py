@@ -6,8 +6,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from mavcompass.calibration.observation import latest_dwells
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
+from mavcompass.earth_field import EarthField
+from mavcompass.errors import PoorCalibration
+from mavcompass.frames import FloatArray, wrap_pi
 from mavcompass.procedure.dialect import ParameterPlan, WriteOutcome
 from mavcompass.procedure.nameplate import Nameplate
 from mavcompass.procedure.positions import Proof, Window
@@ -88,6 +94,32 @@ class AutopilotHeading:
         aside = " and has set its compasses aside" if self.set_aside else ""
         then = "Land, disarm and reboot before flying again" if self.flying else f"Reboot it before {go}"
         return f"The autopilot's own heading is still {after_deg:.1f} deg off{aside}. {then}."
+
+
+def yaw_error_rad(
+    track: Track,
+    result: CalibrationResult,
+    world: EarthField,
+    start_s: float,
+    end_s: float,
+    turned: FloatArray | None = None,
+) -> tuple[float, float, float]:
+    """Return the autopilot's yaw less a calibrated compass's true heading at rest; that one's sigma; the yaw.
+
+    The sigma is of noise, tilt and unrest over the stretch, not of the calibration. `turned` (3, 3) makes
+    what was recorded what the compass reads as it is mounted.
+    Raises PoorCalibration where the recording holds too little of either.
+    """
+    attitude = track.attitude_rad
+    said = None if attitude is None else attitude.between(start_s, end_s)
+    if said is None or not len(said):
+        raise PoorCalibration("The autopilot did not tell its attitude.")
+    (seen,) = latest_dwells(track, (result.instance,), start_s, end_s)
+    if turned is not None:
+        seen = replace(seen, mean_mgauss=turned @ seen.mean_mgauss)
+    yaw = float(np.angle(np.exp(1j * said.values[:, 2]).mean()))
+    sigma = seen.heading_sigma_rad(world.horizontal_mgauss, world.ned_mgauss[2])
+    return float(wrap_pi(yaw - seen.heading_rad(result.correction) - world.declination_rad)), sigma, yaw
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,10 +18,10 @@ from mavcompass.correction import IDENTITY
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import wrap_pi
-from mavcompass.procedure.autopilot_heading import OwnHeading, yaw_error_rad
+from mavcompass.procedure.autopilot_heading import OwnHeading
 from mavcompass.procedure.motion import Permissions
 from mavcompass.procedure.positions.proof import CompassProof, Proof
-from mavcompass.procedure.report import AutopilotHeading
+from mavcompass.procedure.report import AutopilotHeading, yaw_error_rad
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.report.document import live_document
 from mavcompass.simulation.ardupilot import ArduPilot
