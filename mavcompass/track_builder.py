@@ -88,9 +88,9 @@ class TrackBuilder:
         self._columns: dict[str, _Rows] = {}
 
     def set_correction(self, instance: int, correction: FieldCorrection) -> None:
-        """Say which correction the autopilot applies to a compass from the latest message on."""
+        """Say which correction the autopilot applies to a compass after the latest message."""
         steps = self._in_force.setdefault(instance, [])
-        steps.append(InForce(self.latest_s if steps else -np.inf, correction))
+        steps.append(InForce(np.nextafter(self.latest_s, np.inf) if steps else -np.inf, correction))
 
     def turn(self, instance: int, rotation: FloatArray) -> None:
         """Say that a compass is reported by another mounting from the latest message on, turned by (3, 3)."""
