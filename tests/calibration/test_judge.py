@@ -28,7 +28,9 @@ EXTERNAL = {"COMPASS_EXTERNAL": 1.0, "COMPASS_EXTERN2": 1.0, "COMPASS_EXTERN3": 
 def full_turns() -> tuple[Track, ...]:
     """Record a full turn with each of three irons: one motion, whose roll and pitch are told once."""
     irons = (Iron((80.0, -50.0, 30.0)), Iron((30.0, 55.0, -20.0)), Iron((-40.0, 10.0, 15.0)))
-    return tuple(turning_track(iron, turns_deg=(90.0,) * 4, seed=k) for k, iron in enumerate(irons))
+    return tuple(
+        turning_track(iron, dwell_s=3.0, turns_deg=(90.0,) * 4, seed=k) for k, iron in enumerate(irons)
+    )
 
 
 def recorded(*turned: FloatArray | None, parameters: dict[str, float] | None = None) -> Track:
@@ -71,8 +73,8 @@ def pair() -> CalibrationResult:
 
 @pytest.mark.parametrize(
     ("autopilot", "number"),
-    # Upright, upside down and on each side, by right angles and by half ones: one of each for each autopilot.
-    [*(("ardupilot", n) for n in (1, 12, 20, 26)), *(("px4", n) for n in (2, 8, 16, 31))],
+    # Upright, upside down and on each side, by right angles and by half ones.
+    [("ardupilot", 1), ("ardupilot", 20), ("ardupilot", 26), ("px4", 8), ("px4", 31)],
 )
 def test_any_mounting_is_told_and_calibrated_as_it_is(
     number: int, autopilot: str, sound: CalibrationResult

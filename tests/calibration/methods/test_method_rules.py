@@ -19,7 +19,6 @@ from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import DEFAULT_LIMITS, CalibrationResult
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration
-from mavcompass.frames import euler_to_quaternion
 from mavcompass.procedure.positions.proof import CompassProof, Proof
 from mavcompass.track import MagSeries, Series, Track
 
@@ -114,29 +113,6 @@ def test_the_extremes_of_a_turn_centre_it(method: str) -> None:
 
 
 # --- an attitude that owes nothing to a compass ----------------------------------------------------------
-
-
-def test_a_reference_is_a_turn_with_its_tilt() -> None:
-    time = np.arange(40.0) * 0.5
-    yaw = 0.4 * time + 2.0  # more than once round
-    q = 3.0 * np.array([euler_to_quaternion(0.1, -0.2, y) for y in yaw])
-    found = reference_turn(Track(reference_q=Series.of(time, q)))
-    assert found is not None and found.sigma_rad == math.radians(0.3)
-    assert np.diff(found.record.angle_rad) == pytest.approx(np.full(39, 0.2))
-    assert found.record.rate_radps == pytest.approx(np.full(40, 0.4)) and found.record.interval_s == 0.5
-    # A reference has no bias, no noise and no walk, and rocks with nothing.
-    record = found.record
-    assert (record.bias_radps, record.bias_sigma_radps, record.noise_radps, record.walk_rad) == (
-        0.0,
-        1e-9,
-        0.0,
-        0.0,
-    )
-    assert record.tilt_rate_radps.tolist() == [0.0] * 40
-    down = np.array([math.sin(0.2), math.cos(0.2) * math.sin(0.1), math.cos(0.2) * math.cos(0.1)])
-    assert found.levels(Track()).at(np.array([3.25]))[0] == pytest.approx(down)
-    assert reference_turn(Track(reference_q=Series.of(time[:9], q[:9]))) is None
-    assert reference_turn(Track(reference_q=Series.of(time[:10], q[:10]))) is not None
 
 
 def test_a_yaw_by_satellites_is_a_turn_without_tilt() -> None:

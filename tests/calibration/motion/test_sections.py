@@ -22,11 +22,6 @@ def cut(**changed: np.ndarray) -> tuple[list[float], list[int]]:
     return [round(float(values["time"][k]), 1) for k in edges[:-1]], visit.tolist()
 
 
-def test_what_stands_is_one_visit_in_sections_of_five_seconds() -> None:
-    begins, visits = cut()
-    assert begins == pytest.approx([0.0, 5.1, 10.2, 15.3], abs=0.15) and visits == [0, 0, 0, 0]
-
-
 @pytest.mark.parametrize(
     "changed",
     [

@@ -58,14 +58,6 @@ def test_a_rate_is_hunting_then_turning(deg_s: float, said: str) -> None:
     assert math.isnan(state.since_s) is bool(said)
 
 
-@pytest.mark.parametrize(("deg_s", "said"), [(5.9, ""), (6.1, "tilting")])
-@pytest.mark.parametrize("axis", [0, 1])
-def test_a_tilt_rate_has_its_limit(axis: int, deg_s: float, said: str) -> None:
-    gyro = [0.0, 0.0, 0.0]
-    gyro[axis] = math.radians(deg_s)
-    assert fed(standing(), 0.6, 2.0, gyro=(gyro[0], gyro[1], gyro[2])).why_not == said
-
-
 def test_the_turn_is_about_the_vertical_of_a_vehicle_that_leans() -> None:
     roll, pitch = math.radians(30.0), math.radians(-20.0)
     down = (-math.sin(pitch), math.cos(pitch) * math.sin(roll), math.cos(pitch) * math.cos(roll))
@@ -88,13 +80,6 @@ def test_a_field_that_jumps_begins_anew(mgauss: float, said: bool) -> None:
     assert said or (state.since_s == 2.02 and state.why_not == "field changing")
 
 
-def test_a_swing_of_fourteen_degrees_is_another_position() -> None:
-    rate = (0.0, 0.0, math.radians(2.9))
-    detector = standing()
-    assert fed(detector, 4.8, 2.0, rate).still  # 13.9 degrees
-    assert fed(detector, 0.1, 6.8, rate).why_not == "hunting"  # 14.2
-
-
 def test_a_late_reading_changes_nothing() -> None:
     detector = standing()
     before = detector.update(2.02, (0.0, 0.0, 0.0), UP, FIELD)
@@ -112,14 +97,8 @@ def test_white_noise_is_found_beside_a_smooth_motion() -> None:
     assert np.mean(found[50:]) == pytest.approx(1.0, abs=0.1)
 
 
-@pytest.mark.parametrize("tilt_deg_s", [5.5, -5.5])
-@pytest.mark.parametrize("axis", [0, 1])
-def test_of_what_leans_only_the_horizontal_part_of_its_rate_is_tilting(axis: int, tilt_deg_s: float) -> None:
-    down, across = [0.0, 0.0, 0.5], [0.0, 0.0, -math.sqrt(0.75)]  # across is horizontal
-    down[axis], across[axis] = math.sqrt(0.75), 0.5
-    acc = (-G * down[0], -G * down[1], -G * down[2])
-    detector = StillnessDetector(0.0)
-    detector.update(0.0, (0.0, 0.0, 0.0), acc, FIELD)
-    x, y, z = (math.radians(2.9 * d + tilt_deg_s * a) for d, a in zip(down, across, strict=True))
-    state = fed(detector, 1.0, 0.0, (x, y, z), acc)
-    assert state.why_not == "" and math.degrees(state.rate_radps) == pytest.approx(2.9, abs=0.05)
+def test_a_swing_of_fourteen_degrees_is_another_position() -> None:
+    rate = (0.0, 0.0, math.radians(2.9))
+    detector = standing()
+    assert fed(detector, 4.8, 2.0, rate).still  # 13.9 degrees
+    assert fed(detector, 0.1, 6.8, rate).why_not == "hunting"  # 14.2

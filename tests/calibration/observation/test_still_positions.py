@@ -9,16 +9,12 @@ import numpy as np
 import pytest
 
 from mavcompass.calibration.observation import (
-    Dwell,
     assemble,
     dwell_between,
     find_dwells,
     observe,
     turn_record,
     turns_between,
-)
-from mavcompass.calibration.observation.stillness import (
-    _still_windows,
 )
 from mavcompass.calibration.observation.turning import TurnRecord
 from mavcompass.errors import PoorCalibration
@@ -38,30 +34,8 @@ def record(
     return TurnRecord(time, angle, rate, DEG * tilt_deg_s, 0.0, 0.0, DEG * noise_deg_s, 0.0, 0.02)
 
 
-def windows(turn: TurnRecord) -> list[tuple[float, float]]:
-    return [(round(a, 2), round(b, 2)) for a, b in _still_windows(turn)]
-
-
 def between(start_s: float, end_s: float, value: float) -> FloatArray:
     return np.where((TIME > start_s - 0.001) & (TIME < end_s - 0.001), value, 0.0)
-
-
-def test_a_vehicle_that_stands_is_one_position_from_end_to_end() -> None:
-    assert windows(record(STILL)) == [(0.0, 20.0)]
-
-
-def test_a_turn_divides_two_positions_and_the_second_settles() -> None:
-    # At 30 deg/s a tenth of the half second that is averaged over makes 3 deg/s.
-    assert windows(record(between(8.0, 11.0, 30.0))) == [(0.0, 7.8), (11.45, 20.0)]
-    assert windows(record(between(8.0, 11.0, -30.0))) == [(0.0, 7.8), (11.45, 20.0)]
-
-
-def test_a_creep_of_fourteen_degrees_makes_another_position() -> None:
-    # After 14 degrees at 2 deg/s, each time: and what begins after a turn has a quarter of a second less.
-    assert windows(record(STILL + 2.0)) == [(0.0, 7.02), (7.27, 14.02), (14.27, 20.0)]
-    assert windows(record(STILL - 2.0)) == windows(record(STILL + 2.0))
-    to_and_fro = record(np.where(TIME % 10.0 < 5.0, 2.0, -2.0))
-    assert windows(to_and_fro) == [(0.0, 20.0)]  # ten degrees and back
 
 
 def recorded(deg_s: FloatArray, vehicle: str = "unknown", **more: Any) -> Track:
@@ -95,18 +69,6 @@ def test_four_positions_and_the_turns_between_them() -> None:
     assert data.gyro_scale_sigma == 0.01 and data.tilt_bias_sigma_rad == pytest.approx(0.001, rel=0.15)
     record = turn_record(recorded(FOUR))
     assert record is not None and data.gyro_bias_sigma_radps == record.bias_sigma_radps
-
-
-def test_a_turn_is_as_sure_as_its_gyro_and_both_ends() -> None:
-    track = recorded(FOUR)
-    turn = record(FOUR)
-    plain: dict[str, Any] = {"mean_mgauss": np.zeros(3), "covariance_mgauss2": np.eye(3)}
-    first = Dwell(0.0, 2.0, **plain, turned_rad=0.0, turned_sigma_rad=0.03)
-    second = Dwell(6.0, 7.0, **plain, turned_rad=math.pi / 2.0, turned_sigma_rad=0.04)
-    (step,) = turns_between(track, [first, second], 1, turn)
-    gyro = turn.independent_sigma_rad(2.0, 6.0)
-    assert step.sigma_rad == pytest.approx(math.sqrt(0.05**2 + gyro**2)) and gyro > 0.0
-    assert math.degrees(step.angle_rad) == pytest.approx(90.0, abs=1e-6) and step.duration_s == 5.5
 
 
 def test_a_position_that_swings_has_its_mean_angle() -> None:

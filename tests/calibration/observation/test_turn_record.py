@@ -28,28 +28,11 @@ def gyro_of(rates: FloatArray, time: FloatArray = TIME, **more: Any) -> Track:
     return Track(gyro_radps=Series.of(time, rates), **more)
 
 
-def test_noise_walks_with_the_root_of_time() -> None:
-    turn = record(0.0 * TIME, walk_rad=0.01)
-    assert turn.independent_sigma_rad(2.0, 6.0) == pytest.approx(0.02)
-    assert turn.independent_sigma_rad(2.0, 3.0) == pytest.approx(0.01)
-    assert turn.independent_sigma_rad(3.0, 2.0) == math.inf  # nothing lies between
-    assert turn.independent_sigma_rad(50.0, 51.0) == math.inf
-
-
 def test_a_rate_that_bends_between_samples_is_less_certain() -> None:
     # rate = t^2: each trapezoid of 1/4 s misses h^3/12 * 2, and so do eight of them, independently.
     sigma = record(TIME**2).independent_sigma_rad(2.1, 4.1)
     assert sigma == pytest.approx(math.sqrt(8.0) * 0.25**3 / 6.0)
     assert record(3.0 * TIME).independent_sigma_rad(2.1, 4.1) == pytest.approx(0.0, abs=1e-12)
-
-
-@pytest.mark.parametrize(("gap_s", "lost"), [(0.45, 0.0), (0.8, 0.8 * 0.2)])
-def test_a_gap_loses_what_the_rate_changed(gap_s: float, lost: float) -> None:
-    time = np.where(TIME <= 3.0, TIME, TIME + gap_s - 0.25)
-    rate = np.where(TIME <= 3.0, 0.1, -0.1)
-    whole = record(rate, time).independent_sigma_rad(1.0, 6.0)
-    before, after = 0.5 * (0.25 + gap_s) / 12.0 * 0.2, 0.5 * (0.25 + gap_s) / 12.0 * 0.2
-    assert whole == pytest.approx(math.hypot(before, after, lost), rel=2e-3)
 
 
 def test_a_turn_in_a_gap_lies_within_what_is_not_known() -> None:
@@ -60,12 +43,6 @@ def test_a_turn_in_a_gap_lies_within_what_is_not_known() -> None:
     sigma = record(rate[heard], time[heard]).independent_sigma_rad(40.0, 48.0)
     assert math.radians(20.0) / 3.0 < sigma < math.radians(20.0)
     assert record(0.0 * rate[heard], time[heard]).independent_sigma_rad(40.0, 48.0) == 0.0
-
-
-def test_angle_and_rate_are_read_between_samples() -> None:
-    turn = record(0.2 * TIME)
-    assert turn.angle_at(np.array([3.125])) == pytest.approx([0.1 * 3.125**2], abs=0.002)
-    assert turn.rate_at(np.array([3.125, 99.0])) == pytest.approx([0.625, 2.0])
 
 
 def test_the_angle_is_the_integral_of_the_rate_about_the_vertical() -> None:
@@ -87,14 +64,6 @@ def test_of_a_leaning_vehicle_the_vertical_part_counts() -> None:
     assert turn.angle_rad == pytest.approx(0.2 * TIME) and np.abs(turn.tilt_rate_radps).max() < 1e-12
 
 
-@pytest.mark.parametrize(
-    ("autopilot", "deg_s"), [("ardupilot", 0.2), ("px4", 0.2), ("unknown", 3.0), ("other", 3.0)]
-)
-def test_without_a_compass_the_bias_is_what_is_usual(autopilot: str, deg_s: float) -> None:
-    turn = turn_record(gyro_of(np.full((TIME.size, 3), 0.1), autopilot=autopilot))
-    assert turn is not None and turn.bias_sigma_radps == pytest.approx(deg_s * DEG)
-
-
 def test_numbers_cut_toward_zero_are_put_right() -> None:
     rates = np.stack([0.0 * TIME, 0.0 * TIME, np.where(TIME < 5.0, 0.010, -0.010)], axis=1)
     turn = turn_record(gyro_of(rates, gyro_truncation_radps=0.001))
@@ -114,16 +83,6 @@ def test_what_is_missing_is_left_out() -> None:
     assert turn_record(gyro_of(rates)) is None
 
 
-def test_noise_is_seen_beside_turning() -> None:
-    time = np.arange(3000.0) * 0.02
-    rates = np.random.default_rng(3).normal(0.0, 0.01, (time.size, 3))
-    rates[:, 2] += 0.5 * np.sin(time)
-    turn = turn_record(gyro_of(rates, time))
-    assert turn is not None
-    assert turn.noise_radps == pytest.approx(0.01, rel=0.08)
-    assert turn.walk_rad == pytest.approx(turn.noise_radps * math.sqrt(0.02))
-
-
 def standing(seconds: float, deg_s: float, field_mgauss: FloatArray | None = None) -> Track:
     time = np.arange(0.0, seconds + 0.01, 0.1)
     if field_mgauss is None:
@@ -133,26 +92,6 @@ def standing(seconds: float, deg_s: float, field_mgauss: FloatArray | None = Non
     rates = np.tile([0.0, 0.0, deg_s * DEG], (time.size, 1))
     compasses = {1: MagSeries(1, Series.of(time, field_mgauss))}
     return gyro_of(rates, time, compasses=compasses, autopilot="ardupilot")
-
-
-def test_the_bias_is_what_a_gyro_shows_while_the_field_rests() -> None:
-    turn = turn_record(standing(2.8, 0.3))
-    assert turn is not None
-    # One stretch tells 0.01 deg/s, beside 0.2 deg/s that were known before.
-    share = 0.2**2 / (0.2**2 + 0.01**2)
-    assert turn.bias_radps == pytest.approx(0.3 * share * DEG)
-    assert turn.angle_rad[-1] == pytest.approx(2.8 * 0.3 * (1.0 - share) * DEG)  # it is taken out
-    assert turn.bias_sigma_radps == pytest.approx(0.01 * math.sqrt(share) * DEG)
-    longer = turn_record(standing(12.0, 0.3))
-    assert longer is not None  # four stretches count as no more than two
-    assert longer.bias_sigma_radps == pytest.approx(0.01 / math.sqrt(2.0) * DEG)
-
-
-@pytest.mark.parametrize(("deg_s", "is_bias"), [(0.95, True), (1.05, False), (-0.95, True), (-1.05, False)])
-def test_what_turns_faster_than_a_bias_can_is_a_turn(deg_s: float, is_bias: bool) -> None:
-    turn = turn_record(standing(2.8, deg_s))
-    assert turn is not None
-    assert turn.bias_radps == pytest.approx(deg_s * DEG if is_bias else 0.0, rel=0.01)
 
 
 def test_a_field_that_moves_shows_a_turn() -> None:

@@ -118,7 +118,7 @@ def test_wrong_steps_are_seen_by_the_gyro() -> None:
     rng = np.random.default_rng(7)
     iron = Iron((60.0, -40.0, 0.0), np.diag([1.05, 0.97, 1.0]))
     errors = []
-    for _ in range(150):
+    for _ in range(60):
         turns = math.pi / 2 + rng.normal(0, math.radians(3.0), 3)
         data = four_positions(
             iron, rng, first=rng.uniform(0, 6.28), turns=turns, noise=3.0, gyro_sigma=math.radians(0.3)
@@ -129,7 +129,7 @@ def test_wrong_steps_are_seen_by_the_gyro() -> None:
 
 def test_the_claimed_sigma_covers() -> None:
     rng = np.random.default_rng(23)
-    inside, inside_two, count = 0, 0, 400
+    inside, inside_two, count = 0, 0, 200
     for _ in range(count):
         iron = Iron(tuple(rng.normal(0, 80, 3)), np.diag(1.0 + rng.normal(0, 0.08, 3)))
         turns = math.pi / 2 + rng.normal(0, math.radians(8.0), 3)
