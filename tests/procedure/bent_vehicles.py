@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
-from mavcompass.messages import Incoming
+from mavcompass.messages import CommandLong, Incoming, Message
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Context, Machine, Script, Show
 from mavcompass.procedure.settings import CalibrateSettings
@@ -50,6 +50,24 @@ def untouched(vehicle: SimulatedAutopilot) -> tuple[object, ...]:
         vehicle.firmware.reports.heartbeat().base_mode,
         {number: streams.interval_us(number) for number in vehicle.firmware.telemetry.available},
     )
+
+
+def overheard(vehicle: SimulatedAutopilot) -> list[Message]:
+    """Return a list that fills with the messages the vehicle is sent."""
+    heard: list[Message] = []
+    receive = vehicle.receive
+
+    def witness(message: Message, *sender: int) -> None:
+        heard.append(message)
+        receive(message, *sender)
+
+    vehicle.receive = witness  # type: ignore[method-assign, assignment]
+    return heard
+
+
+def commands(heard: list[Message]) -> set[int]:
+    """Return the numbers of the commands among messages."""
+    return {message.command for message in heard if isinstance(message, CommandLong)}
 
 
 def calibrated(

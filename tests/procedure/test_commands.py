@@ -8,7 +8,6 @@ import pytest
 
 from mavcompass import messages as mav
 from mavcompass.enums import MavCmd, MavResult
-from mavcompass.errors import NoReply
 from mavcompass.procedure.commands import MessageRates, command
 from mavcompass.procedure.script import Context, Machine, Script, Send, Show, Tick
 
@@ -74,31 +73,8 @@ def commanded(vehicle: Vehicle, **more: Any) -> tuple[Any, Machine[Any], list[st
     return talk(lambda context: command(context, MavCmd.COMPONENT_ARM_DISARM, 1.0, **more), vehicle)
 
 
-@pytest.mark.parametrize("result", [MavResult.ACCEPTED, MavResult.DENIED, MavResult.FAILED])
-def test_whatever_answer_comes_is_returned(result: MavResult) -> None:
-    vehicle = acknowledging(result)
-    assert commanded(vehicle)[0] == result
-    (sent,) = vehicle.heard
-    assert (sent.command, sent.confirmation, sent.param1, sent.param7) == (
-        MavCmd.COMPONENT_ARM_DISARM,
-        0,
-        1.0,
-        0.0,
-    )
-
-
 def test_an_answer_that_is_no_answer_counts_as_failed() -> None:
     assert commanded(acknowledging(77))[0] == MavResult.FAILED
-
-
-def test_a_command_is_repeated_with_more_patience_and_counted() -> None:
-    vehicle = Vehicle()
-    _, machine, _, ended_s = commanded(vehicle, tries=4, what="arming")
-    assert isinstance(machine.error, NoReply) and "did not answer arming (4 tries)" in machine.error.what
-    assert [c.confirmation for c in vehicle.heard] == [0, 1, 2, 3]
-    assert ended_s == pytest.approx(0.8 * (1.0 + 1.5 + 2.0 + 2.0), abs=0.3)
-    _, machine, _, _ = commanded(Vehicle())
-    assert isinstance(machine.error, NoReply) and "COMPONENT_ARM_DISARM (12 tries)" in machine.error.what
 
 
 RAW, ATTITUDE = mav.message_id(mav.RawImu), mav.message_id(mav.Attitude)

@@ -12,8 +12,7 @@ from mavcompass.errors import Refused
 from mavcompass.kinds import Kind
 from mavcompass.procedure.desk import Desk
 from mavcompass.procedure.motion import Mobility
-from mavcompass.procedure.motion.readiness import Permissions
-from mavcompass.procedure.positions import HandMover, Mover, VehicleMover
+from mavcompass.procedure.positions import Mover
 from mavcompass.procedure.script import Context, Machine, Script, Tick, nothing
 from mavcompass.procedure.turning import TurnBy
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState
@@ -92,35 +91,6 @@ class Charge:
             machine.step(Tick(0.1 * step))
         assert machine.done
         return machine
-
-
-@pytest.mark.parametrize(
-    ("motion", "armed", "may_arm", "by"),
-    [("hand", False, False, HandMover), ("hand", False, True, HandMover), ("auto", False, False, HandMover),
-     ("auto", True, False, VehicleMover), ("vehicle", True, False, VehicleMover)],
-)  # fmt: skip
-def test_a_person_turns_what_is_disarmed_and_the_vehicle_itself_what_is_armed(
-    motion: str, armed: bool, may_arm: bool, by: type
-) -> None:
-    charge = Charge(armed=armed, motion=motion, permissions=Permissions(arm=may_arm))
-    machine = charge.taken()
-    assert (
-        machine.error is None and isinstance(machine.result, by) and charge.mobility.mover is machine.result
-    )
-    # What turns itself is watched over.
-    assert len(machine.context.watches) == (by is VehicleMover)
-
-
-@pytest.mark.parametrize(
-    ("wishes", "armed", "sentence"),
-    [
-        ({"motion": "hand"}, True, "The vehicle is armed: turning it by hand is not safe."),
-        ({"motion": "vehicle"}, False, "The vehicle is disarmed, so it cannot turn itself."),
-    ],
-)
-def test_what_is_not_safe_or_cannot_be_is_refused(wishes: dict[str, str], armed: bool, sentence: str) -> None:
-    error = Charge(armed=armed, **wishes).taken().error
-    assert isinstance(error, Refused) and error.what == sentence
 
 
 def test_what_nobody_knows_how_to_turn_is_refused() -> None:

@@ -48,13 +48,11 @@ TOLD = {
 def test_motion_ends_within_a_second_everything_is_put_back_and_the_event_is_named(
     campaign: ModuleType, kind: str, event: str
 ) -> None:
-    # Other seeds than the campaign's; moments before the end of every run.
-    outcomes = [campaign.interrupt(kind, event, seed, 18.0) for seed in (1001, 1002)]
-    happened = [outcome for outcome in outcomes if outcome is not None]
-    assert happened
-    assert [(o.seed, o.at_s, o.told, o.wrong) for o in happened if o.wrong] == []
-    ended = [outcome.told for outcome in happened if outcome.told != "done"]
-    assert [told for told in ended if not re.match(TOLD.get(event, "."), told)] == []
+    # Other seeds than the campaign's; moments before the end of every run, of which the first that came.
+    outcomes = (campaign.interrupt(kind, event, seed, 18.0) for seed in (1001, 1002))
+    outcome = next(outcome for outcome in outcomes if outcome is not None)
+    assert not outcome.wrong, (outcome.seed, outcome.at_s, outcome.told)
+    assert outcome.told == "done" or re.match(TOLD.get(event, "."), outcome.told), outcome.told
 
 
 @pytest.mark.parametrize("event", ["stick", "signal", "silence"])

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bent_vehicles import overheard
 
 from mavcompass import messages as mav
 from mavcompass.calibration.result import CalibrationResult
@@ -36,16 +37,8 @@ class Ground:
 
     def __init__(self, armed: bool = False) -> None:
         self.vehicle = SimulatedAutopilot("rover", seed=3, armed=armed)
-        self.commands: list[mav.CommandLong] = []
+        self.heard = overheard(self.vehicle)
         self.saved: list[dict[str, float]] = []
-        receive = self.vehicle.receive
-
-        def witness(message: mav.Message, *sender: int) -> None:
-            if isinstance(message, mav.CommandLong):
-                self.commands.append(message)
-            receive(message, *sender)
-
-        self.vehicle.receive = witness  # type: ignore[method-assign, assignment]
 
     def writes(
         self, settings: CalibrateSettings, yes: bool = True, arms: bool = False, **more: Any
@@ -68,7 +61,11 @@ class Ground:
         return run(Machine(script), SimulatedLink(self.vehicle), on_ask=asked)
 
     def rates(self, command: MavCmd = MavCmd.SET_MESSAGE_INTERVAL) -> list[tuple[int, int]]:
-        return [(int(c.param1), int(c.param2)) for c in self.commands if c.command == command]
+        return [
+            (int(c.param1), int(c.param2))
+            for c in self.heard
+            if isinstance(c, mav.CommandLong) and c.command == command
+        ]
 
 
 def test_it_is_asked_written_and_compared_with_the_autopilots_heading() -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from bent_vehicles import commands, overheard
 
 from mavcompass import messages as mav
 from mavcompass.calibration.result import TrueHeading
@@ -22,19 +23,11 @@ from mavcompass.vehicle.links.simulated import SimulatedLink
 MOVES = {MavCmd.COMPONENT_ARM_DISARM, MavCmd.DO_SET_MODE, MavCmd.CONDITION_YAW, MavCmd.NAV_TAKEOFF}
 
 
-def standing(kind: str, seed: int = 901) -> tuple[SimulatedAutopilot, list[Any]]:
+def standing(kind: str, seed: int = 901) -> tuple[SimulatedAutopilot, list[mav.Message]]:
     """A vehicle that has found its position, disarmed, and all that is sent to it."""
-    vehicle, heard = SimulatedAutopilot(kind, seed=seed, armed=False), []
-    for _ in vehicle.advance(10.0):
-        pass
-    receive = vehicle.receive
-
-    def witness(message: mav.Message, *sender: int) -> None:
-        heard.append(message)
-        receive(message, *sender)
-
-    vehicle.receive = witness  # type: ignore[method-assign, assignment]
-    return vehicle, heard
+    vehicle = SimulatedAutopilot(kind, seed=seed, armed=False)
+    vehicle.advance(10.0)
+    return vehicle, overheard(vehicle)
 
 
 def one_point(
@@ -57,8 +50,7 @@ def test_it_is_cured_where_it_stands(kind: str, tmp_path: Path) -> None:
     assert report.written and report.proof is not None and report.proof.passed
     assert heading_error_rms_deg(vehicle) < 1.96 * result.heading_sigma_deg < 0.6 * before_deg
     assert "no other heading" in report.proof.summary()
-    commands = {m.command for m in heard if isinstance(m, mav.CommandLong)}
-    assert not commands & MOVES and not vehicle.firmware.status.armed
+    assert not commands(heard) & MOVES and not vehicle.firmware.status.armed
     assert len(report.windows) == 1 and any(tmp_path.iterdir())
 
 

@@ -134,10 +134,3 @@ def test_a_place_that_it_knew_is_waited_for() -> None:
     vehicle.state.ekf = mav.EkfStatusReport(flags=EkfFlag.ATTITUDE | EkfFlag.POS_HORIZ_ABS)
     vehicle.until(15.0)
     assert vehicle.machine.done and vehicle.machine.error is None
-
-
-def test_a_place_is_waited_for_two_minutes() -> None:
-    vehicle = Autopilot(knew_place=True).until(3.0, acknowledged()).restarts().until(200.0, mav.Heartbeat())
-    assert vehicle.machine.done and vehicle.machine.error is None
-    assert vehicle.now_s == pytest.approx(3.1 + 120.0, abs=0.7)
-    assert len(vehicle.texts) == 1 + 23  # every five seconds

@@ -73,13 +73,6 @@ def writer(vehicle: Vehicle, asks: bool = False) -> Writer:
     return Writer(vehicle.desk, lambda plan, values: Path("u.json"), asks)
 
 
-def test_a_plan_is_written_and_what_was_said_of_it_is_kept() -> None:
-    vehicle = Vehicle()
-    machine, actions = vehicle.does(writer(vehicle).write(report()))
-    assert machine.result.outcome is OUTCOME and machine.result.plan is PLAN and vehicle.written == [PLAN]
-    assert machine.result.messages == ("It is slow.",) and not any(isinstance(a, Ask) for a in actions)
-
-
 @pytest.mark.parametrize(
     ("raw", "turned", "heard"),
     [(False, False, [FOUND]), (False, True, ["turned", FOUND]), (True, False, []), (True, True, ["raw"])],
@@ -91,13 +84,6 @@ def test_what_is_heard_from_now_on_is_corrected_by_it_and_a_raw_reading_stays_ra
     mounted = replace(found.results[0], mounting=Mounting(turned=np.eye(3) if turned else None))
     vehicle.does(writer(vehicle).write(replace(found, results=(mounted,))))
     assert vehicle.builder_heard == [(1, what) for what in heard]
-
-
-def test_a_plan_that_is_refused_is_not_written() -> None:
-    vehicle = Vehicle(replace(PLAN, refusals=("Offsets of zero.",)))
-    machine, _ = vehicle.does(writer(vehicle, asks=True).write(report()))
-    assert machine.done and machine.result.outcome is None and vehicle.written == []
-    assert machine.result.messages == ("Offsets of zero.", "It is slow.")
 
 
 @pytest.mark.parametrize("yes", [True, False])
@@ -136,3 +122,10 @@ def test_a_report_of_no_compass_is_not_accepted_and_one_that_was_undone_not_writ
     assert not replace(one, results=(one.results[0], refused)).accepted
     assert replace(one, outcome=OUTCOME).written and not replace(one, outcome=OUTCOME, undone=True).written
     assert one.noting("First.").noting("Second.", "Third.").messages == ("First.", "Second.", "Third.")
+
+
+def test_a_plan_that_is_refused_is_not_written() -> None:
+    vehicle = Vehicle(replace(PLAN, refusals=("Offsets of zero.",)))
+    machine, _ = vehicle.does(writer(vehicle, asks=True).write(report()))
+    assert machine.done and machine.result.outcome is None and vehicle.written == []
+    assert machine.result.messages == ("Offsets of zero.", "It is slow.")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from dialogue import Expect, Reply, vehicle_script
+from dialogue import Expect, Reply, Step, vehicle_script
 
 from mavcompass.enums import MavCmd, MavResult, RoverMode
 from mavcompass.errors import NoReply
@@ -163,3 +163,36 @@ def test_a_mode_that_somebody_else_chose_is_not_taken_from_them() -> None:
     ) as link:
         link.autopilot.beats = False  # type: ignore[attr-defined]
         assert run(Machine(script), link) == RoverMode.MANUAL
+
+
+ASKED = Expect(CommandLong(command=MODE, param1=1.0, param2=15.0))
+DENIED, ACCEPTED = (Reply(CommandAck(MODE, result)) for result in (MavResult.DENIED, MavResult.ACCEPTED))
+
+
+@pytest.mark.parametrize(
+    ("steps", "changed", "within_s"),
+    [
+        ((ASKED, DENIED, ASKED, DENIED), False, 1.5),  # two refusals are an answer
+        ((ASKED, DENIED, ASKED, ACCEPTED, Reply(beat(RoverMode.GUIDED))), True, 1.5),
+        ((ASKED, ASKED, ACCEPTED, Reply(beat(RoverMode.GUIDED), after_s=1.2)), True, 2.5),
+        ((ASKED, ASKED), False, 2.0),  # nothing is heard of it any more
+        ((*[ASKED, ACCEPTED, Reply(beat(RoverMode.HOLD), after_s=1.0)] * 3, ASKED, ACCEPTED), False, 5.5),
+    ],
+)
+def test_a_mode_is_asked_for_until_it_is_refused_twice_heard_of_or_hopeless(
+    steps: tuple[Step, ...], changed: bool, within_s: float
+) -> None:
+    def script(context: Context) -> Script[bool]:
+        state = VehicleState()
+        context.listeners.append(state.hear)
+        yield from find_vehicle(context)
+        yield from pause(context, 0.2)
+        modes, began_s = ModeKeeper(state, "ardupilot"), context.now
+        done = yield from modes.change(context, RoverMode.GUIDED)
+        assert within_s - 1.5 < context.now - began_s < within_s
+        assert not modes.is_foreign()  # meanwhile the old one and the new are ours
+        return done
+
+    with vehicle_script(Reply(beat(RoverMode.HOLD)), *steps) as link:
+        link.autopilot.beats = False  # type: ignore[attr-defined]
+        assert run(Machine(script), link) is changed

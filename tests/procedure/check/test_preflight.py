@@ -17,8 +17,7 @@ from click.testing import CliRunner
 from mavcompass import messages as mav
 from mavcompass.cli.check import command
 from mavcompass.correction import FieldCorrection
-from mavcompass.heading.fault_isolation import HeadingSource
-from mavcompass.procedure.check import CheckReport, CheckSettings, check, items
+from mavcompass.procedure.check import CheckReport, CheckSettings, check
 from mavcompass.procedure.script import Machine, Show
 from mavcompass.simulation.physics.compasses import CompassSetup
 from mavcompass.simulation.physics.hand import HandMove
@@ -134,12 +133,6 @@ def test_px4_is_asked_what_it_has_against_arming() -> None:
     vehicle.firmware.compasses.parameters_changed()
     says = [item.text for item in checked(vehicle, "none").items if item.name == "prearm"]
     assert says == ['The autopilot says "Preflight Fail: Compasses inconsistent".']
-
-
-def test_agreement_is_judged_across_north() -> None:
-    for heading_deg, verdict in ((1.0, "pass"), (10.0, "warn"), (90.0, "fail")):
-        at = {i: HeadingSource.at(f"compass {i}", d, 1.0) for i, d in ((1, 359.0), (2, heading_deg))}
-        assert [item.verdict for item in items.judge_agreement(at)] == [verdict]
 
 
 def test_the_compass_at_fault_is_named_with_two_sound_ones_beside_it() -> None:

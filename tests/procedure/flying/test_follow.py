@@ -58,16 +58,6 @@ def drive(
     return out
 
 
-def test_rates_are_like_those_of_the_recording() -> None:
-    rates = follow.flight_rates(20.0, "ardupilot")
-    assert rates[27] == 20.0 and rates[30] == 20.0 and rates[32] == rates[147] == 10.0 and 26 not in rates
-    assert rates[24] == 5.0 and rates[1] == 4.0 and rates[29] == 2.0 and 105 not in rates
-    as_px4 = follow.flight_rates(20.0, "px4")
-    assert as_px4[26] == 20.0 and 27 not in as_px4 and as_px4[105] == 0.0
-    slow, fast = (follow.flight_rates(hz, "ardupilot") for hz in (1.0, 400.0))
-    assert (slow[27], slow[30], slow[32]) == (5.0, 10.0, 5.0) and (fast[27], fast[32]) == (50.0, 10.0)
-
-
 def test_rates_are_asked_for_by_the_numbers_of_the_protocol() -> None:
     names = (
         "ATTITUDE SCALED_PRESSURE LOCAL_POSITION_NED GLOBAL_POSITION_INT VFR_HUD"

@@ -106,6 +106,17 @@ def test_a_motion_ends_beyond_each_limit(kind: Kind, message: mav.Message, said:
     assert (found is None) if said is None else (found is not None and said in found), found
 
 
+@pytest.mark.parametrize(
+    ("start", "now", "strayed"),
+    [(1_799_999_990, -1_799_999_990, False), (-1_799_999_990, 1_799_999_990, False),
+     (1_799_999_990, -1_799_990_000, True)],
+)  # fmt: skip
+def test_the_room_to_move_in_goes_on_beyond_the_date_line(start: int, now: int, strayed: bool) -> None:
+    scene = Scene("rover", mav.GlobalPositionInt(lat=-170_000_000, lon=start))
+    said = scene.after(mav.GlobalPositionInt(lat=-170_000_000, lon=now))
+    assert (said is not None and "m away from where it started" in said) is strayed, said
+
+
 def test_channels_that_we_move_are_not_the_pilots() -> None:
     ours = Scene("rover", ours=frozenset({1}))
     assert ours.after(sticks(1900, 1500, 1100, 1500)) is None

@@ -121,13 +121,6 @@ def test_a_take_off_names_its_height_as_the_autopilot_counts_it(
     assert vehicle.now_s == pytest.approx(9.3 + 2.0, abs=0.3)
 
 
-def test_take_off_and_hold_are_modes_of_ours_under_px4() -> None:
-    vehicle = Vehicle(autopilot="px4", takeoff_m=3.0)
-    machine = Machine(vehicle.readiness.make)
-    machine.step(Tick(0.0))
-    assert vehicle.readiness.modes.ours == {TAKEOFF, HOLD} and vehicle.readiness.modes.before == [HOLD]
-
-
 @pytest.mark.parametrize(("height_m", "takes_off"), [(0.95, True), (1.0, False)])
 def test_what_flies_at_a_metre_does_not_take_off(height_m: float, takes_off: bool) -> None:
     vehicle = Vehicle(takeoff_m=5.0)
@@ -135,12 +128,6 @@ def test_what_flies_at_a_metre_does_not_take_off(height_m: float, takes_off: boo
     vehicle.tell()
     assert vehicle.makes_ready().error is None
     assert bool(vehicle.asked(MavCmd.NAV_TAKEOFF)) is takes_off
-
-
-@pytest.mark.parametrize(("kind", "takeoff_m"), [("copter", 0.0), ("rover", 5.0)])
-def test_what_was_not_asked_to_or_has_no_rotors_does_not_take_off(kind: Kind, takeoff_m: float) -> None:
-    vehicle = Vehicle(kind, "px4", takeoff_m=takeoff_m)
-    assert vehicle.makes_ready().error is None and vehicle.commands == []
 
 
 @pytest.mark.parametrize(("climbs_mps", "is_up"), [(9.4 / 40.0, True), (9.2 / 40.0, False)])
@@ -168,12 +155,6 @@ def test_a_take_off_that_is_refused_is_not_waited_for_and_says_why() -> None:
     assert vehicle.now_s < 0.5
 
 
-def test_a_copter_that_disarms_while_it_should_climb_is_given_up_at_once() -> None:
-    vehicle = Vehicle(takeoff_m=10.0)
-    vehicle.climbs_mps, vehicle.coming_s = 0.01, 3.0
-    assert isinstance(vehicle.makes_ready().error, Refused) and vehicle.now_s == pytest.approx(3.1, abs=0.2)
-
-
 @pytest.mark.parametrize(("arms_after_s", "is_ready"), [(0.0, True), (2.8, True), (3.3, False)])
 def test_arming_shows_in_the_heartbeat_within_three_seconds(arms_after_s: float, is_ready: bool) -> None:
     vehicle = Vehicle(armed=False, arm=True)
@@ -197,22 +178,6 @@ def test_what_was_armed_by_a_pilot_is_not_disarmed_and_its_mode_not_touched() ->
     assert vehicle.makes_ready().error is None
     vehicle.is_put_back()
     assert vehicle.commands == [] and vehicle.shown == []
-
-
-def test_the_mode_is_changed_with_leave_only_and_put_back() -> None:
-    vehicle = Vehicle(set_mode=True)
-    vehicle.mode = int(CopterMode.LOITER)
-    vehicle.tell()
-    assert vehicle.makes_ready().error is None and vehicle.mode == CopterMode.GUIDED
-    assert vehicle.shown == ["Changing the flight mode to GUIDED."]
-    vehicle.is_put_back()
-    assert vehicle.mode == CopterMode.LOITER
-    stubborn = Vehicle(set_mode=True)
-    stubborn.mode, stubborn.takes_modes, stubborn.result = int(CopterMode.LOITER), False, MavResult.DENIED
-    stubborn.tell()
-    error = stubborn.makes_ready().error
-    assert isinstance(error, Refused)
-    assert error.what == "The vehicle refused the flight mode GUIDED. It said: too windy."
 
 
 @pytest.mark.parametrize(
@@ -254,3 +219,17 @@ def test_what_a_pilot_took_over_is_left_to_the_pilot() -> None:
     vehicle.mode, count = int(CopterMode.LOITER), len(vehicle.commands)
     vehicle.tell()
     assert vehicle.is_put_back() < 0.2 and len(vehicle.commands) == count
+
+
+def test_a_copter_that_disarms_while_it_should_climb_is_given_up_at_once() -> None:
+    vehicle = Vehicle(takeoff_m=10.0)
+    vehicle.climbs_mps, vehicle.coming_s = 0.01, 3.0
+    assert isinstance(vehicle.makes_ready().error, Refused) and vehicle.now_s == pytest.approx(3.1, abs=0.2)
+
+
+def test_a_mode_that_is_refused_is_told() -> None:
+    stubborn = Vehicle(set_mode=True)
+    stubborn.mode, stubborn.takes_modes, stubborn.result = int(CopterMode.LOITER), False, MavResult.DENIED
+    stubborn.tell()
+    error = stubborn.makes_ready().error
+    assert isinstance(error, Refused) and error.what == "The vehicle refused the flight mode GUIDED."

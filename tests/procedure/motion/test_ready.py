@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from bent_vehicles import calibrated
+from bent_vehicles import calibrated, commands, overheard
 
 from mavcompass.enums import MavCmd
 from mavcompass.errors import Refused
-from mavcompass.messages import CommandLong, Message
 from mavcompass.procedure.motion import Permissions
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
@@ -30,20 +29,6 @@ def allow(permissions: Permissions) -> CalibrateSettings:
     return CalibrateSettings(motion="vehicle", writing="yes", permissions=permissions)
 
 
-def commands_heard(vehicle: SimulatedAutopilot) -> list[int]:
-    """Return a list that fills with the numbers of the commands the vehicle is sent."""
-    numbers: list[int] = []
-    receive = vehicle.receive
-
-    def witness(message: Message, *sender: int) -> None:
-        if isinstance(message, CommandLong):
-            numbers.append(message.command)
-        receive(message, *sender)
-
-    vehicle.receive = witness  # type: ignore[method-assign, assignment]
-    return numbers
-
-
 @pytest.mark.parametrize(
     ("kind", "mode", "permissions", "sentence"),
     [
@@ -62,13 +47,13 @@ def test_what_was_not_allowed_is_refused_and_not_tried(
 ) -> None:
     vehicle = on_the_ground(kind)
     vehicle.pilot_switches_mode(mode)
-    numbers = commands_heard(vehicle)
+    heard = overheard(vehicle)
     with pytest.raises(Refused, match=sentence):
         calibrated(vehicle, tmp_path, allow(permissions))
     forbidden: set[int] = {MavCmd.NAV_TAKEOFF}
     forbidden |= set() if permissions.arm else {int(MavCmd.COMPONENT_ARM_DISARM)}
     forbidden |= set() if permissions.set_mode else {int(MavCmd.DO_SET_MODE)}
-    assert not forbidden & set(numbers)
+    assert not forbidden & commands(heard)
 
 
 def test_a_copter_on_the_ground_is_not_turned_even_when_armed(tmp_path: Path) -> None:
@@ -81,10 +66,10 @@ def test_a_copter_on_the_ground_is_not_turned_even_when_armed(tmp_path: Path) ->
 
 def test_a_rover_is_switched_armed_calibrated_disarmed_and_switched_back(tmp_path: Path) -> None:
     vehicle = on_the_ground("rover")
-    before, numbers = vehicle.firmware.reports.heartbeat(), commands_heard(vehicle)
+    before, heard = vehicle.firmware.reports.heartbeat(), overheard(vehicle)
     report = calibrated(vehicle, tmp_path, allow(Permissions(set_mode=True, arm=True)))
     assert report.written and heading_error_rms_deg(vehicle) < 0.5
-    assert MavCmd.PREFLIGHT_REBOOT_SHUTDOWN not in numbers  # nobody asked for a restart
+    assert MavCmd.PREFLIGHT_REBOOT_SHUTDOWN not in commands(heard)  # nobody asked for a restart
     assert report.on_vehicle_s == pytest.approx(report.duration_s, abs=12.0) and report.on_vehicle_s > 10.0
     assert vehicle.firmware.reports.heartbeat() == before
 

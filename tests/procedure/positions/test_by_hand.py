@@ -9,11 +9,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from bent_vehicles import calibrated
+from bent_vehicles import calibrated, commands, overheard
 
 from mavcompass.enums import MavCmd
 from mavcompass.errors import PoorCalibration, Refused
-from mavcompass.messages import CommandLong, Incoming, Message
+from mavcompass.messages import Incoming, Message
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
@@ -48,22 +48,9 @@ def by_hand(
     return calibrated(vehicle, folder, BY_HAND, link, shown), shown
 
 
-def everything_heard_by(vehicle: SimulatedAutopilot) -> list[Message]:
-    """Return a list that fills with the messages the vehicle is sent."""
-    heard: list[Message] = []
-    receive = vehicle.receive
-
-    def witness(message: Message, *sender: int) -> None:
-        heard.append(message)
-        receive(message, *sender)
-
-    vehicle.receive = witness  # type: ignore[method-assign, assignment]
-    return heard
-
-
 def test_the_person_is_told_how_far_to_turn_and_how_long_to_hold_still(tmp_path: Path) -> None:
     vehicle = disarmed()
-    heard = everything_heard_by(vehicle)
+    heard = overheard(vehicle)
     report, shown = by_hand(vehicle, turns(90, 90, 90, 90), tmp_path)
     assert report.written and report.proof is not None and report.proof.passed
     assert heading_error_rms_deg(vehicle) < 0.5
@@ -76,8 +63,7 @@ def test_the_person_is_told_how_far_to_turn_and_how_long_to_hold_still(tmp_path:
     # Nothing is commanded while a person turns it.
     kinds = {type(message).__name__ for message in heard}
     assert kinds <= {"Heartbeat", "CommandLong", "ParamRequestRead", "ParamSet"}
-    commands = {message.command for message in heard if isinstance(message, CommandLong)}
-    assert not commands & {MavCmd.COMPONENT_ARM_DISARM, MavCmd.DO_SET_MODE, MavCmd.CONDITION_YAW}
+    assert not commands(heard) & {MavCmd.COMPONENT_ARM_DISARM, MavCmd.DO_SET_MODE, MavCmd.CONDITION_YAW}
 
 
 @pytest.mark.parametrize(

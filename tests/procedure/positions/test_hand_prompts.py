@@ -102,31 +102,10 @@ def test_a_person_has_three_minutes_and_a_vehicle_that_talks() -> None:
     assert machine.context.now == pytest.approx(5.2, abs=0.15)
 
 
-@pytest.mark.parametrize(
-    ("tilt_deg", "still_s", "settled"),
-    [(9.9, 0.5, True), (9.9, 0.4, False), (10.1, 14.9, False), (10.1, 15.1, True)],
-)
-def test_it_is_settled_level_or_on_a_slope(tilt_deg: float, still_s: float, settled: bool) -> None:
-    person = Person(0.0, tilt_deg=tilt_deg)
-    person.still_s = still_s
-    machine = person.runs(person.settle(), 0.5)
-    assert machine.done is settled
-    if not settled:
-        assert person.texts == ["Hold still 2 s." if tilt_deg < 10.0 else "Tilted by 10 deg: level it."]
-
-
 def test_what_is_never_held_still_is_told_why() -> None:
     person = Person(0.0)
     machine = person.runs(person.settle(), 200.0)
     assert isinstance(machine.error, PoorCalibration) and "within 180 s (hunting)" in machine.error.what
-
-
-def test_a_dwell_is_counted_down() -> None:
-    person, context = Person(0.0), Context()
-    for left_s in (1.7, 1.25, 1.15, 0.1):
-        context.now += 1.0
-        person.mover.hold(context, left_s)
-    assert [a.text for a in context.outbox if isinstance(a, Show)] == ["Hold still 2 s.", "Hold still 1 s."]
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ import math
 import pytest
 
 from mavcompass import messages as mav
-from mavcompass.errors import LinkLost
 from mavcompass.procedure.positions import DwellSettings, Rest, VehicleMover, Window, dwell
 from mavcompass.procedure.positions.visiting import wait_still
 from mavcompass.procedure.script import Context, Machine, Script, Show, Tick
@@ -73,13 +72,6 @@ def test_what_tilts_to_and_fro_is_given_more_time() -> None:
     assert shown == ["Waiting until it stands still: it still rocks."]
     waited_s, rests, _ = settle(0.0, 60.0)
     assert not rests and 8.8 < waited_s < 10.5
-
-
-def test_without_imu_messages_the_link_counts_as_lost() -> None:
-    machine = Machine(lambda context: wait_still(context, VehicleMover(GyroAngle(), Rest()), SETTINGS))
-    for tenth in range(60):
-        machine.step(Tick(0.1 * tenth))
-    assert isinstance(machine.error, LinkLost)
 
 
 def test_a_dwell_that_was_not_heard_begins_anew() -> None:

@@ -89,13 +89,6 @@ def dwelt(
     return machine.result.end_s - machine.result.start_s, mover, gyro
 
 
-def test_a_dwell_lasts_as_long_as_is_usual_and_is_held_twice_a_second() -> None:
-    length_s, mover, _ = dwelt()
-    assert length_s == pytest.approx(1.7, abs=0.09)
-    assert mover.held == pytest.approx([1.15, 0.6, 0.05], abs=0.1)
-    assert dwelt(DwellSettings(dwell_s=3.0))[0] == pytest.approx(3.0, abs=0.09)
-
-
 def test_a_dwell_ends_as_soon_as_the_heading_is_sure_enough() -> None:
     assert dwelt(sureness=lambda a, b: 0.15)[0] == pytest.approx(0.92, abs=0.09)
     assert dwelt(sureness=lambda a, b: 0.16)[0] == pytest.approx(1.4, abs=0.13)  # no surer than at half
@@ -205,25 +198,6 @@ def visited(mover: Mover, count: int = 4, step_deg: float = 90.0, seen: tuple[Wi
     assert machine.result is not None
     shown.append(str(len(machine.result)))
     return shown
-
-
-def test_four_positions_are_visited_with_three_turns() -> None:
-    mover = Obedient(GyroAngle(), Rest())
-    shown = visited(mover)
-    assert mover.turns_deg == pytest.approx([90.0] * 3)
-    assert mover.done == [
-        "at each", "turn, 3 left", "at each", "turn, 2 left", "at each", "turn, 1 left",
-    ]  # fmt: skip
-    assert shown == [
-        "dwell 0.00: Position 1 of 4: measuring.",
-        "turn 0.10: Turning to position 2 of 4.",
-        "dwell 0.20: Position 2 of 4: measuring.",
-        "turn 0.30: Turning to position 3 of 4.",
-        "dwell 0.40: Position 3 of 4: measuring.",
-        "turn 0.50: Turning to position 4 of 4.",
-        "dwell 0.60: Position 4 of 4: measuring.",
-        "4",
-    ]
 
 
 def test_a_position_that_does_not_count_is_visited_again() -> None:
