@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 
 import numpy as np
 import pytest
@@ -62,37 +61,6 @@ def test_rows_give_what_single_readings_give() -> None:
 def test_either_gravity_or_angles_are_needed() -> None:
     with pytest.raises(ValueError, match="either"):
         tilt_compensated_heading(FIELD)
-
-
-def textbook(field: np.ndarray, acc: np.ndarray) -> np.ndarray:
-    """The formula as it stands in every application note."""
-    roll = np.arctan2(-acc[:, 1], -acc[:, 2])
-    pitch = np.arctan2(acc[:, 0], np.sqrt(acc[:, 1] ** 2 + acc[:, 2] ** 2))
-    x = (
-        field[:, 0] * np.cos(pitch)
-        + field[:, 1] * np.sin(roll) * np.sin(pitch)
-        + field[:, 2] * np.cos(roll) * np.sin(pitch)
-    )
-    y = field[:, 1] * np.cos(roll) - field[:, 2] * np.sin(roll)
-    return np.arctan2(-y, x) % (2.0 * math.pi)
-
-
-def test_columns_are_several_times_faster_than_the_textbook() -> None:
-    rng = np.random.default_rng(2)
-    field = rng.normal(0, 300, (200000, 3))
-    acc = rng.normal((0.0, 0.0, -9.8), 1.0, (200000, 3))
-    columns = np.asfortranarray(field), np.asfortranarray(acc)
-    assert np.allclose(wrap_pi(tilt_compensated_heading(*columns) - textbook(field, acc)), 0.0, atol=1e-9)
-
-    def spent(function, *arguments) -> float:
-        best = math.inf
-        for _ in range(5):
-            start = time.process_time()
-            function(*arguments)
-            best = min(best, time.process_time() - start)
-        return best
-
-    assert spent(textbook, field, acc) > 2.0 * spent(tilt_compensated_heading, *columns)
 
 
 @given(dip=st.floats(-1.4, 1.4), roll=tilts, pitch=tilts, yaw=angles)

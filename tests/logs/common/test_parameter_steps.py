@@ -11,22 +11,6 @@ from mavcompass.logs.common.parameter_steps import Seen, ardupilot_steps, change
 from mavcompass.logs.common.samples import motor_outputs
 
 
-def test_the_first_value_held_before_it_was_seen() -> None:
-    history = changes([Seen(9.0, "A", 1.0), Seen(12.0, "A", 1.0), Seen(15.0, "A", 2.0, True)], [0.0])
-    assert [(change.from_s, change.value) for change in history] == [(-math.inf, 1.0), (15.0, 2.0)]
-
-
-def test_a_value_read_after_a_restart_held_since_then_and_one_set_only_from_there() -> None:
-    seen = [Seen(9.0, "A", 1.0), Seen(9.0, "B", 1.0)]
-    seen += [Seen(130.0, "A", 2.0, False, 1), Seen(140.0, "B", 2.0, True, 1), Seen(150.0, "A", 3.0, False, 1)]
-    history = changes(seen, [0.0, 100.0])
-    assert [(c.from_s, c.name, c.value) for c in history[2:]] == [
-        (100.0, "A", 2.0),
-        (140.0, "B", 2.0),
-        (150.0, "A", 3.0),
-    ]
-
-
 def test_values_that_are_no_numbers_are_passed_over() -> None:
     assert changes([Seen(1.0, "A", math.nan), Seen(2.0, "A", math.inf)], [0.0]) == ()
 

@@ -40,17 +40,6 @@ def swinging(time_s: np.ndarray, iron_mgauss: tuple[float, float, float] = (0.0,
     return Signals(stimulus, Reading(rotate_back(rotation, field) + np.array(iron_mgauss), none, none))
 
 
-def test_late_readings_follow_the_bodys_rate_and_not_their_neighbours() -> None:
-    time, late_s = np.arange(0.0, 30.0, 0.27), 0.04
-    iron = (90.0, -40.0, 10.0)
-    signals = swinging(time, iron)
-    true = swinging(time - late_s, iron).reading.mag_mgauss
-    by_rate = late_field(signals, time - late_s)
-    by_neighbours = at_times(time, signals.reading.mag_mgauss, time - late_s)
-    off, usual = (np.sqrt(np.mean((a - true)[2:-2] ** 2)) for a in (by_rate, by_neighbours))
-    assert off < 1.5 and usual > 5.0 * off
-
-
 @pytest.mark.parametrize("late_s", [0.04, 0.15, 0.2])
 @pytest.mark.parametrize("yaw_off_rad", [0.0, 0.3])
 def test_late_readings_of_a_recording_turn_as_it_tells_between_them(
@@ -207,14 +196,3 @@ def test_orientation_is_guessed_beside_strong_iron_and_an_unknown_yaw(
     assert orientation.starts is not None
     first = orientation.starts(Misfit(believed, left, rows, np.ones(3), yaw_unknown=yaw_off_rad != 0.0))[0]
     assert float(first[0]) == number
-
-
-def test_numbers_that_mean_the_same_turn_are_guessed_once() -> None:
-    """MAV_SENSOR_ORIENTATION 10 (roll 180, yaw 90) and 27 (pitch 180, yaw 270) are one turn."""
-    signals = swinging(np.arange(0.0, 60.0, 0.2), (50.0, 0.0, 0.0))
-    orientation = catalogue()["orientation"]
-    measured = orientation.forward(signals, np.array([27.0]), {}, None).reading.mag_mgauss
-    left = replace(signals.reading, mag_mgauss=measured - signals.reading.mag_mgauss)
-    assert orientation.starts is not None
-    rows = np.ones(signals.stimulus.time_s.size, dtype=bool)
-    assert float(orientation.starts(Misfit(signals, left, rows, np.ones(3)))[0][0]) == 10.0

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from mavcompass import messages as m
-from mavcompass.errors import UsageError
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 
@@ -30,16 +29,6 @@ def test_an_effect_is_all_that_is_wrong_with_the_first_compass():
     assert heading_error_rms_deg(plain) < 1e-4
     assert heading_error_rms_deg(bent) > 15.0
     assert heading_error_rms_deg(bent, instance=2) < 1e-4
-
-
-def test_hard_iron_shows_in_the_first_compass_only():
-    v, plain = stream(calibration="exact", seconds=0.5)
-    _, bent = stream(effects=["hard_iron:x=100"], seconds=0.5)
-    matrix = v.firmware.compasses.correction(1).matrix
-    shift = column(bent, m.RawImu, "xmag", "ymag", "zmag") - column(plain, m.RawImu, "xmag", "ymag", "zmag")
-    np.testing.assert_allclose(shift[-1], matrix @ [100.0, 0.0, 0.0], atol=6.0)
-    second = ("xmag", "ymag", "zmag")
-    np.testing.assert_array_equal(column(bent, m.ScaledImu2, *second), column(plain, m.ScaledImu2, *second))
 
 
 def test_a_gyro_bias_shows_in_the_gyro():
@@ -79,8 +68,3 @@ def test_judging_leaves_the_vehicle_as_it_is():
 def test_a_lag_does_not_count_as_a_heading_error_at_rest():
     v, _ = stream(effects=["transport_lag:lag_s=0.2"])
     assert heading_error_rms_deg(v) < 0.01
-
-
-def test_an_unknown_effect_is_refused():
-    with pytest.raises(UsageError, match="no effect"):
-        SimulatedAutopilot("rover", effects=["gremlins"])

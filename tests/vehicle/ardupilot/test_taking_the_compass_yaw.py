@@ -12,7 +12,7 @@ from mavcompass.errors import Refused
 from mavcompass.messages import CommandAck, CommandLong
 from mavcompass.procedure.script import Context, Machine, Script, Stop
 from mavcompass.procedure.vehicle_state import find_vehicle
-from mavcompass.vehicle.dialects.taking_over import EKF3_HOW, idle_set, take_ekf3_yaw
+from mavcompass.vehicle.dialects.taking_over import EKF3_HOW, take_ekf3_yaw
 from mavcompass.vehicle.driver import run
 
 SWITCH = MavCmd.SET_EKF_SOURCE_SET
@@ -83,26 +83,6 @@ def test_a_stop_in_between_still_leads_back() -> None:
 def test_a_flying_copter_is_not_touched() -> None:
     with vehicle_script() as link:
         assert run(take(AS_SHIPPED, flying=True), link) == ""
-
-
-@pytest.mark.parametrize(
-    ("changed", "chosen"),
-    [
-        ({}, 2),
-        ({"EK3_SRC2_YAW": 1.0}, 3),
-        ({"EK3_SRC1_YAW": 3.0}, 2),  # GPS with the compass to fall back on
-        ({"EK3_SRC1_YAW": 2.0}, None),  # the receiver's yaw: no compass steers
-        ({"EK3_SRC2_POSXY": 6.0}, None),  # a second set in earnest: which is in use, nothing tells
-        ({"EK3_SRC2_YAW": 1.0, "EK3_SRC3_YAW": 1.0}, None),
-        ({"AHRS_EKF_TYPE": 2.0}, None),
-    ],
-)
-def test_which_set_names_no_compass(changed: dict[str, float], chosen: int | None) -> None:
-    assert idle_set(AS_SHIPPED | changed) == chosen
-
-
-def test_firmware_without_sets_has_none() -> None:
-    assert idle_set({"AHRS_EKF_TYPE": 3.0}) is None
 
 
 def test_nothing_is_commanded_before_the_yaw_is_in_force() -> None:

@@ -10,7 +10,6 @@ import pytest
 from serving import hear, serving
 
 from mavcompass.enums import MavCmd, MavResult
-from mavcompass.errors import LinkLost
 from mavcompass.messages import (
     Attitude,
     CommandAck,
@@ -36,15 +35,6 @@ def read_parameter(link: Link, name: str) -> float:
         assert isinstance(value, ParamValue)
         if value.param_id == name:
             return value.param_value
-
-
-def test_a_client_reads_and_writes_parameters_over_tcp() -> None:
-    vehicle = SimulatedAutopilot("rover", seed=1)
-    with serving(vehicle, speed=5.0) as (_, port), open_link(Tcp("127.0.0.1", port)) as link:
-        assert isinstance(hear(link, Heartbeat), Heartbeat)
-        link.send(ParamSet(1, 1, "COMPASS_OFS_Y", 33.0))
-        hear(link, ParamValue)
-        assert read_parameter(link, "COMPASS_OFS_Y") == 33.0
 
 
 def test_time_begins_with_the_first_client_and_the_seed_decides_what_follows() -> None:
@@ -84,17 +74,6 @@ def test_several_clients_share_the_vehicle_with_their_own_rates() -> None:
             assert fast.statistics.lost == slow.statistics.lost == 0
 
 
-def test_clients_come_and_go_while_the_vehicle_lives_on() -> None:
-    vehicle = SimulatedAutopilot("rover", seed=1)
-    with serving(vehicle, speed=5.0) as (_, port):
-        for value in (11.0, 12.0, 13.0):
-            with open_link(Tcp("127.0.0.1", port)) as link:
-                link.send(ParamSet(1, 1, "COMPASS_OFS_Z", value))
-                hear(link, ParamValue)
-        with open_link(Tcp("127.0.0.1", port)) as link:
-            assert read_parameter(link, "COMPASS_OFS_Z") == 13.0
-
-
 def test_a_reboot_drops_the_connection_and_the_client_finds_its_way_back() -> None:
     vehicle = SimulatedAutopilot("rover", seed=1, armed=False)
     with serving(vehicle, speed=4.0) as (_, port):
@@ -109,15 +88,6 @@ def test_a_reboot_drops_the_connection_and_the_client_finds_its_way_back() -> No
             link.send(link.identity.heartbeat())
             hear(link, Heartbeat)
             assert read_parameter(link, "COMPASS_OFS_Z") == 21.0, "written parameters survive"
-
-
-def test_a_vehicle_that_is_gone_for_good_is_told() -> None:
-    with serving(SimulatedAutopilot("rover", seed=1)) as (_, port):
-        link = open_link(Tcp("127.0.0.1", port), reconnect=Reconnect(again_s=0.2, every_s=0.02))
-        hear(link, Heartbeat)
-    with link, pytest.raises(LinkLost, match="could not be opened again"):
-        while True:
-            link.receive(0.5)
 
 
 @pytest.mark.parametrize("waits", [True, False])
