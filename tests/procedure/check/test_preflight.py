@@ -17,10 +17,13 @@ from click.testing import CliRunner
 from mavcompass import messages as mav
 from mavcompass.cli.check import command
 from mavcompass.correction import FieldCorrection
+from mavcompass.enums import MavVtolState
+from mavcompass.errors import Refused
 from mavcompass.procedure.check import CheckReport, CheckSettings, check
 from mavcompass.procedure.script import Machine, Show
 from mavcompass.simulation.physics.compasses import CompassSetup
 from mavcompass.simulation.physics.hand import HandMove
+from mavcompass.simulation.physics.profiles import VehicleProfile
 from mavcompass.simulation.physics.sensors import CompassModel
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.dialects import make_dialect
@@ -60,13 +63,44 @@ def test_a_badly_calibrated_vehicle_fails_and_the_turn_shows_it() -> None:
     assert report.calibration_advised
 
 
-def test_a_disarmed_vehicle_is_checked_without_a_turn() -> None:
+@pytest.mark.parametrize(
+    ("kind", "turn", "armed", "mode", "says"),
+    [
+        ("rover", "auto", False, None, None),
+        ("rover", "vehicle", False, None, "it is disarmed."),
+        ("rover", "hand", True, None, "it is armed, and turning it by hand is not safe."),
+        (
+            "quadplane",
+            "vehicle",
+            True,
+            "FW",
+            "this ardupilot plane cannot turn on the spot.",
+        ),
+        ("quadplane", "auto", True, "FW", None),
+        ("rover", "auto", True, "MANUAL", None),  # it refuses, and nobody asked for it
+    ],
+)
+def test_where_nobody_turns_it_that_is_told_to_who_asked(
+    kind: str, turn: str, armed: bool, mode: str | None, says: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    vehicle = SimulatedAutopilot(kind, seed=2, calibration="exact")
+    if mode == "FW":
+        monkeypatch.setattr(VehicleProfile, "vtol_state", MavVtolState.FW)
+    elif mode is not None:
+        vehicle.pilot_switches_mode(mode)
+    if not armed:
+        vehicle.disarm()
+    report = checked(vehicle, turn)
+    assert not report.turned
+    told = [(i.verdict, i.text) for i in report.items if i.name == "turn"]
+    assert told == ([] if says is None else [("warn", f"No turn was made: {says}")])
+
+
+def test_a_turn_that_was_asked_for_in_another_mode_is_refused() -> None:
     vehicle = SimulatedAutopilot("rover", seed=2, calibration="exact")
-    vehicle.disarm()
-    assert not checked(vehicle).turned
-    asked_for = checked(vehicle, "vehicle")
-    assert verdicts(asked_for, "turn") == ["warn"]
-    assert "disarmed" in next(i.text for i in asked_for.items if i.name == "turn")
+    vehicle.pilot_switches_mode("MANUAL")
+    with pytest.raises(Refused, match="is in MANUAL"):
+        checked(vehicle, "vehicle")
 
 
 @pytest.mark.parametrize("roll", [0.0, 0.7])

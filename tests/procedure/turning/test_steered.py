@@ -115,6 +115,20 @@ def test_a_vehicle_that_has_not_turned_six_degrees_in_three_seconds_does_not_mov
         assert degrees < 90.0
 
 
+@pytest.mark.parametrize(("rests_at_deg", "is_there"), [(60.0, True), (48.0, False)])
+def test_what_arrives_by_itself_is_there_where_it_rests_beyond_most_of_the_way(
+    rests_at_deg: float, is_there: bool
+) -> None:
+    class Resting(Vehicle):
+        def moves(self) -> None:
+            self.share = 0.0 if self.gyro.angle_rad >= rests_at_deg * DEG else 1.0
+            super().moves()
+
+    vehicle = Resting(GyroAngle())
+    moved, degrees, seconds = turned(steered(vehicle, arrives=True), vehicle, 90.0)
+    assert moved and degrees == pytest.approx(rests_at_deg, abs=2.0) and (seconds < 4.0) is is_there
+
+
 def test_holding_asks_for_no_turn_and_halting_lets_go() -> None:
     vehicle = Vehicle(GyroAngle())
     turn = steered(vehicle, arrives=True)

@@ -33,11 +33,15 @@ def test_every_request_that_is_not_reading_needs_the_token(quiet: RunningService
     assert quiet.service.station.desk.current is None
 
 
-def test_every_writing_request_is_described_as_needing_the_token(quiet: RunningService) -> None:
+def test_every_writing_request_is_described_as_needing_the_token_and_with_its_refusals(
+    quiet: RunningService,
+) -> None:
     described = quiet.stranger.get("/openapi.json").json()["paths"]
     for path, operations in described.items():
         for method, operation in operations.items():
             assert ("security" in operation) == (method == "post"), (method, path)
+            refusals = {"400", "401", "403", "413", "415", "421", "422"} if method == "post" else {"421"}
+            assert refusals <= set(operation["responses"]), (method, path)
 
 
 @pytest.mark.parametrize(
