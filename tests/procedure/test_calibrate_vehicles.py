@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bent_vehicles import KINDS, bent_vehicle, calibrated, untouched
+from bent_vehicles import KINDS, bent_vehicle, calibrated, overheard, untouched
 
+from mavcompass.messages import ParamSet
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot
@@ -70,3 +71,17 @@ def test_more_positions_are_visited_where_four_leave_too_much_in_doubt(tmp_path:
     turned = np.degrees([window.turned_rad for window in report.windows]) % 360.0
     gaps = np.diff(np.sort(np.append(turned, turned.min() + 360.0)))
     assert gaps.min() > 25.0
+
+
+def test_what_is_right_already_is_left_as_it_is_and_the_autopilots_heading_is_told(tmp_path: Path) -> None:
+    vehicle = SimulatedAutopilot("rover", seed=3, calibration="exact")
+    before, heard = dict(vehicle.firmware.store.values), overheard(vehicle)
+    report = calibrated(vehicle, tmp_path, CalibrateSettings(writing="yes", rate_hz=10.0))
+    assert report.accepted and report.results[0].already_right and not report.written
+    assert (
+        report.heading is not None
+        and not report.heading.written
+        and abs(report.heading.error_after_deg) < 2.0
+    )
+    assert not any(isinstance(message, ParamSet) for message in heard)
+    assert all(vehicle.firmware.store.values[name] == before[name] for name in before if "COMPASS" in name)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 from running_service import StartService, configured, wait_for
+from serving import serving
 
 from mavcompass import messages as mav
 from mavcompass.enums import MavCmd
@@ -18,10 +19,8 @@ from mavcompass.service.station import Station
 from mavcompass.service.work.clock import Schedule
 from mavcompass.service.work.history import History
 from mavcompass.simulation.vehicle import SimulatedAutopilot
-from mavcompass.vehicle.links.server import VehicleServer
 from mavcompass.vehicle.links.simulated import SimulatedLink
-from mavcompass.vehicle.stopping import StopRequest
-from mavcompass.vehicle.transport.tcp import TcpServerTransport
+from mavcompass.vehicle.transport import TcpIn
 
 
 class Vehicle:
@@ -30,26 +29,14 @@ class Vehicle:
     def __init__(self) -> None:
         self.autopilot = SimulatedAutopilot("rover", seed=3)
         self.port = 0
-        self._stop = StopRequest("not started")
-        self._thread: threading.Thread | None = None
+        self._on = ExitStack()
 
     def switch_on(self) -> None:
-        transport = TcpServerTransport("127.0.0.1", self.port)
-        self.port = transport.port
-        self._stop = StopRequest()
-        server = VehicleServer(self.autopilot, transport, speed=2.0)
-
-        def serve() -> None:
-            server.serve(self._stop)
-            transport.close()
-
-        self._thread = threading.Thread(target=serve, daemon=True)
-        self._thread.start()
+        served = serving(self.autopilot, TcpIn("127.0.0.1", self.port), speed=2.0)
+        _, self.port = self._on.enter_context(served)
 
     def switch_off(self) -> None:
-        self._stop.reason = "switched off"
-        if self._thread is not None:
-            self._thread.join(10.0)
+        self._on.close()
 
 
 @pytest.fixture

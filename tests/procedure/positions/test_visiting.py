@@ -200,6 +200,25 @@ def visited(mover: Mover, count: int = 4, step_deg: float = 90.0, seen: tuple[Wi
     return shown
 
 
+def test_four_positions_are_visited_with_three_turns() -> None:
+    mover = Obedient(GyroAngle(), Rest())
+    shown = visited(mover)
+    assert mover.turns_deg == pytest.approx([90.0] * 3)
+    assert mover.done == [
+        "at each", "turn, 3 left", "at each", "turn, 2 left", "at each", "turn, 1 left",
+    ]  # fmt: skip
+    assert shown == [
+        "dwell 0.00: Position 1 of 4: measuring.",
+        "turn 0.10: Turning to position 2 of 4.",
+        "dwell 0.20: Position 2 of 4: measuring.",
+        "turn 0.30: Turning to position 3 of 4.",
+        "dwell 0.40: Position 3 of 4: measuring.",
+        "turn 0.50: Turning to position 4 of 4.",
+        "dwell 0.60: Position 4 of 4: measuring.",
+        "4",
+    ]
+
+
 def test_a_position_that_does_not_count_is_visited_again() -> None:
     mover = Obedient(GyroAngle(), Rest(), refused=1)
     assert visited(mover, 2)[-1] == "2" and len(mover.turns_deg) == 1

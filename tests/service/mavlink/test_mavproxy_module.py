@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import threading
@@ -11,11 +10,9 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from serving import serving
 
 from mavcompass.simulation.vehicle import SimulatedAutopilot
-from mavcompass.vehicle.links.server import VehicleServer
-from mavcompass.vehicle.stopping import StopRequest
-from mavcompass.vehicle.transport.tcp import TcpServerTransport
 
 MAVPROXY = Path(sys.executable).with_name("mavproxy.py")
 
@@ -26,17 +23,8 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.fixture
 def port() -> Iterator[int]:
-    vehicle, stop = SimulatedAutopilot("rover", seed=3), StopRequest()
-    vehicle.moor(str(os.getpid()))
-    transport = TcpServerTransport("127.0.0.1", 0)
-    thread = threading.Thread(
-        target=VehicleServer(vehicle, transport, speed=5.0).serve, args=(stop,), daemon=True
-    )
-    thread.start()
-    yield transport.port
-    stop.reason = "the test is over"
-    thread.join(10.0)
-    transport.close()
+    with serving(SimulatedAutopilot("rover", seed=3), speed=5.0) as (_, port):
+        yield port
 
 
 def mavproxy(port: int, folder: Path, command: str, until: str, timeout_s: float = 120.0) -> str:

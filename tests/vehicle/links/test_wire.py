@@ -221,6 +221,15 @@ def test_a_serial_port_that_is_not_there_is_no_vehicle() -> None:
     assert "dialout" in caught.value.remedy
 
 
+def test_a_serial_port_that_somebody_holds_is_not_shared() -> None:
+    master, slave = os.openpty()
+    device = Serial(os.ttyname(slave))
+    with open_link(device), pytest.raises(NoVehicle):
+        open_link(device, reconnect=Reconnect(first_s=0.0))
+    for file in (master, slave):
+        os.close(file)
+
+
 def test_a_port_in_use_is_told() -> None:
     with closing(open_transport(UdpIn("127.0.0.1", 0))) as taken:
         number = int(taken.name.rpartition(":")[2])
