@@ -89,6 +89,9 @@ def test_a_compass_that_is_off_is_offered_old_against_new(drive: Drive) -> None:
     assert finding.id == "learnt" and len(finding.short) <= 50
     assert f"{result.heading_change_deg:.1f} degrees off" in finding.text
     assert 10.0 < result.heading_change_deg < 25.0
+    drive.go(going_round(30))  # and it goes on learning
+    again = drive.learning.lessons[1].learnt
+    assert again is not None and again is not lesson.learnt
 
 
 def test_a_compass_that_is_right_is_not_offered(drive: Drive) -> None:
