@@ -9,21 +9,16 @@ import pytest
 
 from mavcompass.procedure.check import CheckSettings
 from mavcompass.procedure.motion import Permissions
-from mavcompass.procedure.positions import DwellSettings
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.service.work.tasks import CalibrationRequest
 
 DEG = math.radians(1.0)
-DWELL = {
-    "dwell_s": 1.7, "shortest_s": 0.92, "enough_deg": 0.15, "longest_s": 6.0, "settle_s": 0.1,
-    "patience_s": 3.0, "tilting_patience_s": 10.0,
-}  # fmt: skip
 MAY = {"set_mode": False, "arm": False, "takeoff_m": 0.0}
 CALIBRATE = {
     "instances": (1,), "motion": "auto", "turn_by": "auto", "permissions": Permissions(), "positions": 4,
     "step_rad": 90.0 * DEG, "enough_deg": 0.3, "most_positions": 8, "writing": "ask", "system": None,
     "rate_hz": 25.0, "year": 2026.0, "reboot": False, "orientation": False,
-    "rewrite": False, "dwell": DwellSettings(),
+    "rewrite": False,
 }  # fmt: skip
 ASKED = {
     "compasses": (), "motion": "auto", "writing": "ask", "max_error_deg": 2.0, "positions": 4,
@@ -34,7 +29,6 @@ ASKED = {
 @pytest.mark.parametrize(
     ("settings", "promised"),
     [
-        (DwellSettings(), DWELL),
         (Permissions(), MAY),
         (CalibrateSettings(), CALIBRATE),
         (CalibrationRequest(), ASKED),
