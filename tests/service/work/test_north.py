@@ -93,12 +93,15 @@ def test_it_is_of_its_place_its_compass_and_its_calibration(tmp_path: Path) -> N
     drive, path = Drive(), tmp_path / "north.json"
     drive.go(600)
     NorthKeeper(path).learn(drive.view, 1)
-    far, other = Drive(lat_deg=10.2), Drive()
+    far, other, near = Drive(lat_deg=10.1), Drive(), Drive(lat_deg=10.08)  # 11 and 9 km away
+    near.go(2)
+    NorthKeeper(path).learn(near.view, 1)
+    assert "of course (+4 " in near.rests_on
     other.view.set_parameters({"COMPASS_OFS_X": 50.0, "COMPASS_OFS_Y": 0.0, "COMPASS_OFS_Z": 0.0})
     for one in (far, other):
         one.go(2)
         NorthKeeper(path).learn(one.view, 1)
-        assert one.rests_on.startswith("declination +0.0 deg by the model")
+        assert one.rests_on.startswith("declination +0.0 deg by the model") and "course" not in one.rests_on
 
 
 @pytest.mark.parametrize("content", ["", "[]x", '[{"seen": 3}]', '{"a": 1}'])

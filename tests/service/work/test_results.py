@@ -161,9 +161,10 @@ def test_the_sigma_that_the_history_claims(compasses: list[dict[str, Any]], sigm
     assert sigma_deg(entry, 2) == sigma
 
 
-def testold_and_new_stand_side_by_side_with_a_card_where_the_field_is_known() -> None:
+def test_old_and_new_stand_side_by_side_with_a_card_where_the_field_is_known() -> None:
     plain = old_and_new(found())
-    assert plain["old"] == plain["new"] and plain["deviation"] == []
+    assert plain["old"] == plain["new"] and plain["old"]["diagonals"] == [1.0, 1.0, 1.0]
+    assert plain["deviation"] == []
     known = old_and_new(found(horizontal_mgauss=200.0, vertical_mgauss=400.0))
     assert [row["heading_deg"] for row in known["deviation"]] == [15.0 * k for k in range(24)]
     assert {row["old_error_deg"] for row in known["deviation"]} == {0.0}
