@@ -137,8 +137,7 @@ def with_settings(track: Track, found: list[Setting]) -> tuple[Problem, Fit]:
     problem = Problem(replayed, floor.noise, replayed.valid, floor.prior)
     made = (make_term(s.effect, replayed.signals) for s in found)
     terms = tuple(replace(t, free=np.zeros_like(t.free)) for t in made)
-    known = tuple(n.mean for n in problem.nuisances)
-    fit = problem.fit(Fit(terms, tuple(s.theta for s in found), known))
+    fit = problem.fit(Fit(terms, tuple(s.theta for s in found), problem.prior.mean))
     return problem, fit
 
 

@@ -61,8 +61,8 @@ def _belief(problem: Problem, weight: float, fit: Fit) -> Belief:
     starts = np.cumsum([0, *(v.size for v in values)])
     mean = np.concatenate(values)
     rows: list[int] = []  # of the mean, for each fitted parameter; -1 for those of other nuisances
-    for nuisance, theta in zip(problem.nuisances, fit.nuisance_thetas, strict=True):
-        place = _PLACES.get(nuisance.effect.id)
+    for nuisance, theta in problem.values(fit).items():
+        place = _PLACES.get(nuisance)
         if place is None:
             rows += [-1] * theta.size
             continue
@@ -94,8 +94,7 @@ def _from_no_load(size: int, usual_load: float) -> FloatArray:
 def cured_iron(problem: Problem, fit: Fit, floor: Floor) -> Cured:
     """Collect what the calibration in force cures, and what a fit found it to be."""
     iron = problem.replay.iron
-    values = problem.values(fit)
-    taught = {n.effect.id: n.mean for n in problem.nuisances}
+    values, taught = problem.values(fit), problem.values(Fit(nuisances=problem.prior.mean))
     more, there = (
         (known.get(IRON_MATRIX, np.zeros(9)), *_apart(known.get(IRON_OFFSET, np.zeros(3))))
         for known in (values, taught)
@@ -128,13 +127,9 @@ def corrected_rms(problem: Problem, fit: Fit, rows: NDArray[np.bool_]) -> float 
     replay = problem.replay
     if replay.corrected_mgauss is None:
         return None
-    known = {WORLD_FIELD.id, IRON_MATRIX, IRON_OFFSET}
-    plain = tuple(
-        np.zeros_like(theta) if n.effect.id in known else theta
-        for n, theta in zip(problem.nuisances, fit.nuisance_thetas, strict=True)
-    )
-    raw = problem.predict(Fit(nuisance_thetas=plain)).mag_mgauss
-    field = replay.iron.field(raw) if any(n.effect.id == IRON_OFFSET for n in problem.nuisances) else raw
+    plain = np.where(problem.prior.holds(WORLD_FIELD.id, IRON_MATRIX, IRON_OFFSET), 0.0, fit.nuisances)
+    raw = problem.predict(Fit(nuisances=plain)).mag_mgauss
+    field = replay.iron.field(raw) if IRON_OFFSET in problem.prior.places else raw
     return rms((replay.corrected_mgauss - field)[rows])
 
 

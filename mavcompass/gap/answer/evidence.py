@@ -277,7 +277,7 @@ def waterfall(problem: Problem, named: Fit, test: NDArray[np.bool_]) -> tuple[Ba
 
     def left(chosen: Sequence[int]) -> float:
         terms, thetas = tuple(named.terms[at] for at in chosen), tuple(named.thetas[at] for at in chosen)
-        partly = Fit(terms, thetas, named.nuisance_thetas)
+        partly = Fit(terms, thetas, named.nuisances)
         return rms(measured - problem.predict(partly).mag_mgauss[test]) ** 2
 
     value = {frozenset(c): left(c) for size in range(len(places) + 1) for c in combinations(places, size)}

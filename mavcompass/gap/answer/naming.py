@@ -63,7 +63,7 @@ def intervals(problem: Problem, fit: Fit) -> list[dict[str, _Interval]]:
 def _sigmas(problem: Problem, fit: Fit) -> list[FloatArray]:
     """Return the standard deviation of each parameter of each effect, (k,); 0 of what is not free."""
     sigma = np.sqrt(np.maximum(np.diag(problem.lasting_covariance(fit)), 0.0))
-    at = sum(n.mean.size for n in problem.nuisances)
+    at = fit.nuisances.size
     out = []
     for term, theta in zip(fit.terms, fit.thetas, strict=True):
         own = np.zeros(theta.size)

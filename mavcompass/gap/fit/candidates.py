@@ -61,7 +61,7 @@ def misfit_of(problem: Problem, signals: Signals) -> Misfit:
     residual = Reading(*(group_values(measured, g) - group_values(made, g) for g in GROUPS))
     rows = np.zeros(problem.rows.size, dtype=np.bool_)
     rows[problem.index] = True
-    return Misfit(signals, residual, rows, problem.sigma_mgauss, len(yaw_starts(problem.nuisances)) > 1)
+    return Misfit(signals, residual, rows, problem.sigma_mgauss, len(yaw_starts(problem.prior)) > 1)
 
 
 def _elsewhere(effect: Effect, guess: FloatArray, known: FloatArray) -> bool:
@@ -83,7 +83,7 @@ class Candidates:
         self.problem, self.base = problem, base
         self.list: list[Candidate] = []
         self._columns = 0
-        n = len(problem.nuisances)
+        n = len(problem.prior.effects)
         states = problem.composition.states(base)
         residual = problem.residual(states[-1].reading)
         kept = {term.effect.id for term in held}
@@ -100,7 +100,7 @@ class Candidates:
         others = [t for t in terms if t.effect.id not in kept and t.effect.kind != "discrete"]
         for term in others:
             parts += self._begin(term, states)
-        offset = problem.prior.mean - np.concatenate(base.nuisance_thetas) if n else np.zeros(0)
+        offset = problem.prior.mean - base.nuisances
         columns, known_count = np.hstack(parts), known.shape[1]
         # The equations copy the columns once more: these need not stay meanwhile.
         del parts, known, each
@@ -109,15 +109,9 @@ class Candidates:
         order = np.argsort(labels, kind="stable") if len(problem.groups) > 1 else slice(None)
         self.normal = BlockNormal(
             columns[order], residual[order], labels[order], known_count, problem.prior.precision,
-            offset, usual, self._loose(),
+            offset, usual, problem.prior.holds(REFERENCE_YAW, WORLD_FIELD.id),
         )  # fmt: skip
         self.constant = float(residual @ residual + offset @ problem.prior.precision @ offset)
-
-    def _loose(self) -> NDArray[np.bool_]:
-        """Tell which parameters of nuisances only this recording knows, (K,)."""
-        own = (REFERENCE_YAW, WORLD_FIELD.id)
-        parts = [np.full(n.mean.size, n.effect.id in own) for n in self.problem.nuisances]
-        return np.concatenate(parts) if parts else np.zeros(0, dtype=np.bool_)
 
     def _begin(self, term: Term, before: list[Signals]) -> list[FloatArray]:
         """Linearise an effect at each of its first guesses, beside the base without it; return its columns.
@@ -141,7 +135,7 @@ class Candidates:
                 continue
             begun = fit.beside(term, guess)
             states = problem.composition.states(begun, before)
-            own = problem.columns(begun, states, [len(problem.nuisances) + len(fit.terms)])
+            own = problem.columns(begun, states, [len(problem.prior.effects) + len(fit.terms)])
             shift: FloatArray | None = None
             if misfit is not None:
                 shift = problem.shift(states[-1].reading, misfit.signals.reading)
@@ -186,12 +180,9 @@ class Candidates:
         for candidate in chosen:
             thetas.append(candidate.values(solution.values[at : at + candidate.columns.size]))
             at += candidate.columns.size
-        nuisances, at = [], 0
-        for nuisance, theta in zip(self.problem.nuisances, self.base.nuisance_thetas, strict=True):
-            moved = theta + solution.nuisances[at : at + theta.size]
-            nuisances.append(np.clip(moved, nuisance.effect.lower, nuisance.effect.upper))
-            at += theta.size
-        return Fit((*held.terms, *(c.term for c in chosen)), tuple(thetas), tuple(nuisances))
+        prior = self.problem.prior
+        nuisances = np.clip(self.base.nuisances + solution.nuisances, prior.lower, prior.upper)
+        return Fit((*held.terms, *(c.term for c in chosen)), tuple(thetas), nuisances)
 
 
 class Criteria:

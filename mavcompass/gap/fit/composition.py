@@ -16,7 +16,7 @@ from mavcompass.gap.attitude.reference import Reference
 from mavcompass.gap.fit.hypothesis import Fit, Term
 from mavcompass.gap.replay.noise import group_values
 from mavcompass.gap.replay.nominal import Replay
-from mavcompass.gap.replay.nuisance import REFERENCE_YAW, TELEMETRY_AGE, Nuisance, turned
+from mavcompass.gap.replay.nuisance import REFERENCE_YAW, TELEMETRY_AGE, Prior, turned
 from mavcompass.simulation.effects.causes.timing import late, late_field
 from mavcompass.simulation.effects.effect import EACH_BY_ITSELF, LAG, SMOOTHING, Effect, Group, Signals, Stage
 from mavcompass.simulation.physics.signals import Reading
@@ -266,31 +266,32 @@ class _After:
 class Composition:
     """Run nuisances and effects on a replay; places count the nuisances first, then the terms."""
 
-    def __init__(self, replay: Replay, nuisances: Sequence[Nuisance]) -> None:
+    def __init__(self, replay: Replay, prior: Prior) -> None:
         self.replay = replay
-        self.nuisances = nuisances
+        self._nuisances, self._places = prior.effects, list(prior.places.values())
 
     def free(self, terms: Sequence[Term], place: int) -> NDArray[np.int64]:
         """Return the places of the free parameters of a member."""
-        n = len(self.nuisances)
+        n = len(self._nuisances)
         if place < n:
-            return np.arange(len(self.nuisances[place].effect.parameters))
+            return np.arange(len(self._nuisances[place].parameters))
         return np.flatnonzero(terms[place - n].free)
 
-    def _ordered(self, terms: Sequence[Term], everything: Sequence[FloatArray]) -> list[tuple[Effect, int]]:
-        """List the effects of the composition in order, with their places in the list of parameters."""
-        members = [(n.effect, i) for i, n in enumerate(self.nuisances)]
-        members += [(t.effect, len(self.nuisances) + i) for i, t in enumerate(terms)]
+    def _ordered(self, fit: Fit) -> tuple[list[tuple[Effect, int]], list[FloatArray]]:
+        """List the effects of the composition in order, with their places in the list of parameters, and
+        that list."""
+        everything = [*(fit.nuisances[at] for at in self._places), *fit.thetas]
+        every = (*self._nuisances, *(term.effect for term in fit.terms))
+        members = [(effect, place) for place, effect in enumerate(every)]
         # Sorting is stable: a nuisance acts before the effects of its stage.
-        return sorted(members, key=lambda member: member[0].stage_at(everything[member[1]]))
+        return sorted(members, key=lambda m: m[0].stage_at(everything[m[1]])), everything
 
     def states(self, fit: Fit, without_last: Sequence[Signals] = ()) -> list[Signals]:
         """Return the signals after each member of the composition, the replay's own first.
 
         `without_last` are those without the last of the terms, where they are known.
         """
-        everything = [*fit.nuisance_thetas, *fit.thetas]
-        order = self._ordered(fit.terms, everything)
+        order, everything = self._ordered(fit)
         states = [self.replay.signals]
         if without_last:
             states = list(without_last[: 1 + [place for _, place in order].index(len(everything) - 1)])
@@ -309,8 +310,7 @@ class Composition:
     def changes(self, fit: Fit, states: list[Signals], wanted: Sequence[int]) -> Changes:
         """Return the derivatives of the prediction by the free parameters of some members, in their order;
         nothing where there are none."""
-        everything = [*fit.nuisance_thetas, *fit.thetas]
-        order = self._ordered(fit.terms, everything)
+        order, everything = self._ordered(fit)
         places = {place: at for at, (_, place) in enumerate(order)}
         derivatives = Derivatives(self.replay, order, everything, states)
         for place in wanted:

@@ -52,7 +52,7 @@ class Fit:
 
     Attributes:
         terms: its effects, without the nuisances.
-        thetas: their parameters; nuisance_thetas: those of the nuisances.
+        thetas: their parameters; nuisances: those of all nuisances, (K,).
         sse: whitened sum of squares on the fitted rows plus what the priors of the nuisances cost; infinite
             where it was not fitted.
         covariance: of the free parameters, nuisances first, then the terms in order.
@@ -60,7 +60,7 @@ class Fit:
 
     terms: tuple[Term, ...] = ()
     thetas: tuple[FloatArray, ...] = ()
-    nuisance_thetas: tuple[FloatArray, ...] = ()
+    nuisances: FloatArray = field(default_factory=lambda: np.zeros(0))
     sse: float = np.inf
     covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
@@ -84,17 +84,17 @@ class Fit:
         return Fit(
             (*self.terms[:place], *self.terms[place + 1 :]),
             (*self.thetas[:place], *self.thetas[place + 1 :]),
-            self.nuisance_thetas,
+            self.nuisances,
         )
 
     def changed(self, place: int, term: Term, theta: FloatArray) -> Fit:
         """Return the hypothesis with another term, and other values, for one effect, not fitted anew."""
         terms = (*self.terms[:place], term, *self.terms[place + 1 :])
-        return Fit(terms, (*self.thetas[:place], theta, *self.thetas[place + 1 :]), self.nuisance_thetas)
+        return Fit(terms, (*self.thetas[:place], theta, *self.thetas[place + 1 :]), self.nuisances)
 
     def beside(self, term: Term, theta: FloatArray) -> Fit:
         """Return the hypothesis with one more effect, not fitted anew."""
-        return Fit((*self.terms, term), (*self.thetas, theta), self.nuisance_thetas)
+        return Fit((*self.terms, term), (*self.thetas, theta), self.nuisances)
 
     def value(self, name: str) -> float | None:
         """Return a parameter that means the same in every effect; None where no effect has it."""

@@ -18,7 +18,7 @@ from mavcompass.gap.fit.composition import Changes, Composition
 from mavcompass.gap.fit.hypothesis import CHANCE, Fit, Mask, weak_precision
 from mavcompass.gap.replay.noise import Noise, group_values
 from mavcompass.gap.replay.nominal import Replay
-from mavcompass.gap.replay.nuisance import Prior
+from mavcompass.gap.replay.nuisance import Prior, block_diagonal
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.effect import Group, Signals
 from mavcompass.simulation.physics.signals import Reading
@@ -33,9 +33,8 @@ class Problem:
         self.noise = noise
         self.rows = rows
         self.prior = prior
-        self.nuisances = prior.nuisances
         self.groups = replay.groups
-        self.composition = Composition(replay, prior.nuisances)
+        self.composition = Composition(replay, prior)
         usable = replay.valid.copy()
         most = max((noise[g].coefficients.shape[0] for g in self.groups), default=0)
         for lag in range(1, most + 1):
@@ -48,14 +47,12 @@ class Problem:
         self.usable = usable
         self.index = np.flatnonzero(rows & usable)
         self._measured = {g: np.nan_to_num(group_values(replay.measured, g)) for g in self.groups}
-        self._precision = prior.precision
         # The first nuisance, the world field, is linear: its derivatives are always as good as new.
-        sizes = [n.effect.scale if i else np.full(n.mean.size, np.inf) for i, n in enumerate(prior.nuisances)]
+        sizes = [e.scale if i else np.full(len(e.parameters), np.inf) for i, e in enumerate(prior.effects)]
         self._sizes = np.concatenate([np.zeros(0), *sizes])
         self._bridge = bridge(replay.valid) if any(noise[g].moving.any() for g in self.groups) else None
         self._null: Fit | None = None
         self._ended: set[Fit] = set()
-        self._prior = prior.mean
 
     @property
     def sigma_mgauss(self) -> FloatArray:
@@ -74,7 +71,7 @@ class Problem:
 
     def predict(self, fit: Fit, effects: bool = True) -> Reading:
         """Return what the simulation says under a hypothesis, or under its nuisances alone."""
-        return self.signals(fit if effects else Fit(nuisance_thetas=fit.nuisance_thetas)).reading
+        return self.signals(fit if effects else Fit(nuisances=fit.nuisances)).reading
 
     def signals(self, fit: Fit) -> Signals:
         """Return the simulated signals under a hypothesis."""
@@ -113,12 +110,12 @@ class Problem:
 
     def jacobian(self, fit: Fit) -> FloatArray:
         """Return the derivatives of the whitened prediction by all that a fit may move."""
-        n = len(self.nuisances)
-        return self.columns(fit, self.composition.states(fit), range(n + len(fit.terms)))
+        every = range(len(self.prior.effects) + len(fit.terms))
+        return self.columns(fit, self.composition.states(fit), every)
 
     def nuisance_changes(self, fit: Fit) -> Changes:
         """Return the derivatives of the prediction by the nuisances' parameters, under a fit."""
-        return self.composition.changes(fit, self.composition.states(fit), range(len(self.nuisances)))
+        return self.composition.changes(fit, self.composition.states(fit), range(len(self.prior.effects)))
 
     def whitened(self, changes: Changes) -> FloatArray:
         """Return changes of the prediction as whitened columns, one for each; rows as in `residual`."""
@@ -140,22 +137,20 @@ class Problem:
 
     def values(self, fit: Fit) -> dict[str, FloatArray]:
         """Return what a fit makes of each nuisance, by its id."""
-        pairs = zip(self.nuisances, fit.nuisance_thetas, strict=True)
-        return {nuisance.effect.id: theta for nuisance, theta in pairs}
+        return {nuisance: fit.nuisances[at] for nuisance, at in self.prior.places.items()}
 
     def strain(self, fit: Fit) -> float:
         """Return how far a fit strains what is known of vehicle and place together, in squared sigmas.
 
         The yaw's constant may be known; how it wanders is no knowledge of them.
         """
-        parts = [np.arange(n.mean.size) < n.known for n in self.nuisances]
-        rows = np.concatenate([*parts, np.zeros(0, dtype=np.bool_)])
-        off = (np.concatenate([*fit.nuisance_thetas, np.zeros(0)]) - self._prior)[rows]
-        return float(off @ self._precision[np.ix_(rows, rows)] @ off)
+        known = self.prior.known
+        off = (fit.nuisances - self.prior.mean)[known]
+        return float(off @ self.prior.precision[np.ix_(known, known)] @ off)
 
     def chance_of_strain(self, fit: Fit) -> float:
         """Return the probability that what is known of vehicle and place is off by so much, by chance."""
-        known = sum(n.known for n in self.nuisances)
+        known = int(self.prior.known.sum())
         return chance_of_more(self.strain(fit), known) if known else 1.0
 
     def straight(self, fit: Fit) -> bool:
@@ -166,9 +161,8 @@ class Problem:
         """Fit the nuisances alone, from their means or from where another problem has them, as far as it
         does."""
         if self._null is None:
-            have = () if near is None else near.nuisance_thetas
-            means = (n.mean for n in self.nuisances[len(have) :])
-            self._null = self.fit(Fit(nuisance_thetas=(*have, *means)))
+            have = self.prior.mean[:0] if near is None else near.nuisances
+            self._null = self.fit(Fit(nuisances=np.append(have, self.prior.mean[have.size :])))
         return self._null
 
     def refit(self, fit: Fit) -> Fit:
@@ -178,21 +172,20 @@ class Problem:
 
     def fit(self, start: Fit, iterations: int = usual.newton.iterations) -> Fit:
         """Fit from a start by Levenberg and Marquardt; parameters stay inside their physical ranges."""
-        terms, n = start.terms, len(self.nuisances)
-        none, effects = self._prior[:0], [*(n.effect for n in self.nuisances), *terms]
-        z = np.concatenate([none, *start.nuisance_thetas, *start.thetas])
-        ends = np.cumsum([x.size for x in (*start.nuisance_thetas, *start.thetas)])
+        terms, prior, n = start.terms, self.prior.mean, len(self.prior.effects)
+        z = np.concatenate([start.nuisances, *start.thetas])
+        ends = np.cumsum([x.size for x in (start.nuisances, *start.thetas)])
         lower, upper = (
-            np.concatenate([none, *(getattr(e, end) for e in effects)]) for end in ("lower", "upper")
+            np.concatenate([getattr(of, end) for of in (self.prior, *terms)]) for end in ("lower", "upper")
         )
-        every = np.ones(self._prior.size, dtype=np.bool_)
+        every = np.ones(prior.size, dtype=np.bool_)
         free = np.flatnonzero(np.concatenate([every, *(t.free for t in terms)]))
         known = self._known(weak_precision(terms))
-        mean = np.append(self._prior, np.zeros(len(known) - every.size))
+        mean = np.append(prior, np.zeros(len(known) - prior.size))
 
         def at(z: FloatArray) -> Fit:
-            thetas = np.split(z, ends)
-            return Fit(terms, tuple(thetas[n : n + len(terms)]), tuple(thetas[:n]))
+            nuisances, *thetas = np.split(z, ends[:-1])
+            return Fit(terms, tuple(thetas), nuisances)
 
         def cost_of(r: FloatArray, z: FloatArray) -> float:
             return float(r @ r + (z[free] - mean) @ known @ (z[free] - mean))
@@ -247,10 +240,7 @@ class Problem:
 
     def _known(self, weak: FloatArray) -> FloatArray:
         """Return the precision of nuisances and free parameters before any reading."""
-        n_dim = self._prior.size
-        known = np.diag(np.concatenate([np.zeros(n_dim), weak]))
-        known[:n_dim, :n_dim] = self._precision if n_dim else 0.0
-        return known
+        return block_diagonal([self.prior.precision, np.diag(weak)])
 
     def _away(self, z: FloatArray, made_at: FloatArray) -> float:
         """Return by how many natural sizes nuisances moved at most since their derivatives were made."""

@@ -15,11 +15,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.candidates import Candidate, Candidates, Criteria, likeliest_sets, misfit_of
 from mavcompass.gap.fit.hypothesis import Fit, Term, least_gain, make_term
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.replay.nuisance import REFERENCE_YAW, TELEMETRY_AGE, Nuisance, yaw_starts
+from mavcompass.gap.replay.nuisance import REFERENCE_YAW, TELEMETRY_AGE, yaw_starts
 from mavcompass.gap.tables import Kind, usual
 from mavcompass.simulation.effects.effect import MOMENTS, Effect
 
@@ -31,37 +30,22 @@ def unbent(problem: Problem, fit: Fit, curves: bool = False) -> Fit:
     """Return nuisances to their prior where a gap has bent them far: what is wrong must show to be
     found. How the attitude wanders explains nothing away, but beside bent `curves` no derivative is
     good."""
-    if fit.terms or not problem.nuisances:
+    prior, kept = problem.prior, fit.nuisances.copy()
+    if fit.terms or not kept.size:
         return fit
-    straight = problem.straight(fit)
-
-    def kept_of(n: Nuisance, x: FloatArray) -> FloatArray:
-        if n.effect.id == REFERENCE_YAW:
-            return _facing_as_known(n, x, curves)
-        # How old readings are is another matter than the iron and the place that a gap may bend.
-        aged = n.effect.id == TELEMETRY_AGE and _by_chance(n, x)
-        return x if straight or aged else n.mean.copy()
-
-    kept = tuple(kept_of(n, x) for n, x in zip(problem.nuisances, fit.nuisance_thetas, strict=True))
-    same = all(np.array_equal(x, y) for x, y in zip(kept, fit.nuisance_thetas, strict=True))
-    return fit if same else replace(fit, nuisance_thetas=kept)
-
-
-def _facing_as_known(yaw: Nuisance, theta: FloatArray, curves: bool) -> FloatArray:
-    """Return the yaw's constant to what is known of it where it was bent far, and the attitude's `curves`
-    where they wandered farther than by chance."""
-    off, out = theta - yaw.mean, theta.copy()
-    if off[0] ** 2 * yaw.precision[0, 0] >= least_gain(1):
-        out[0] = yaw.mean[0]
-    if curves and off[1:] @ yaw.precision[1:, 1:] @ off[1:] >= least_gain(theta.size - 1):
-        out[1:] = yaw.mean[1:]
-    return out
-
-
-def _by_chance(nuisance: Nuisance, theta: FloatArray) -> bool:
-    """Tell whether a nuisance by itself lies no farther from what is known of it than by chance."""
-    off = theta - nuisance.mean
-    return float(off @ nuisance.precision @ off) < least_gain(theta.size)
+    off, straight = kept - prior.mean, problem.straight(fit)
+    for nuisance, at in prior.places.items():
+        if nuisance == REFERENCE_YAW:
+            # Its constant, and its curves, by themselves.
+            parts = [slice(at.start, at.start + 1), *([slice(at.start + 1, at.stop)] if curves else [])]
+            bent = [p for p in parts if off[p] @ prior.precision[p, p] @ off[p] >= least_gain(off[p].size)]
+        else:
+            # How old readings are is another matter than the iron and the place that a gap may bend.
+            aged2 = (off[at] / usual.age.sigma_s) ** 2 if nuisance == TELEMETRY_AGE else np.inf
+            bent = [] if straight or np.all(aged2 < least_gain(1)) else [at]
+        for part in bent:
+            kept[part] = prior.mean[part]
+    return fit if np.array_equal(kept, fit.nuisances) else replace(fit, nuisances=kept)
 
 
 def facing(problem: Problem, terms: Sequence[Term], beside: Fit, most_sse: float) -> list[Fit]:
@@ -72,7 +56,7 @@ def facing(problem: Problem, terms: Sequence[Term], beside: Fit, most_sse: float
             continue
         for guess in term.effect.starts(misfit_of(problem, problem.signals(beside))):
             turned = beside.beside(term, guess)
-            starts = [replace(turned, nuisance_thetas=known) for known in yaw_starts(problem.nuisances)]
+            starts = [replace(turned, nuisances=known) for known in yaw_starts(problem.prior)]
             fits = sorted((problem.fit(start, 1) for start in starts), key=lambda f: f.sse)
             if len(starts) > 1 and fits[0].sse >= most_sse:
                 # Where the yaw may be anything, one of six is off by so much that it takes a few steps more.
@@ -151,8 +135,8 @@ class Search:
         null = self.explored.setdefault(frozenset(), self.problem.null())
         self._remember(likely)
         best = self._cheapest(null, most)
-        means = tuple(n.mean for n in self.problem.nuisances)
-        turns = facing(self.problem, self.terms, Fit(nuisance_thetas=means), null.sse)
+        as_known = Fit(nuisances=self.problem.prior.mean)
+        turns = facing(self.problem, self.terms, as_known, null.sse)
         noise = 3 * len(self.problem.groups) * self.problem.count
         explained = min((fit.sse for fit in turns), default=np.inf)
         if explained < usual.search.unexplained * noise:
@@ -185,7 +169,7 @@ class Search:
             return best
         ones = [
             self.explored.get(frozenset({term.effect.id}))
-            or self.problem.fit(Fit((term,), (theta,), best.nuisance_thetas))
+            or self.problem.fit(Fit((term,), (theta,), best.nuisances))
             for term, theta in zip(best.terms, best.thetas, strict=True)
         ]
         empty, fits = Fit(), [best]

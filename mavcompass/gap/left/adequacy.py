@@ -289,7 +289,7 @@ def _doubtful(witness: Replay, effects: Sequence[Effect]) -> dict[Group, SensorN
     for group in witness.groups[1:]:
         alone = replace(witness, groups=(group,))
         terms = tuple(make_term(e, alone.signals) for e in effects if group in e.groups)
-        problem = Problem(alone, first_noise(alone), alone.valid, Prior.of(()))
+        problem = Problem(alone, first_noise(alone), alone.valid, Prior())
         fit = problem.fit(Fit(terms, tuple(t.effect.neutral() for t in terms)))
         noise = measured_noise(problem, fit)
         tests = judge(Problem(alone, noise, alone.valid, problem.prior), fit, compare_scatter=False).tests

@@ -122,8 +122,7 @@ def kind_of(replay: Replay, floor: Floor) -> Kind:
 def prior_of(replay: Replay, trust: Trust | None) -> Prior:
     """Return the prior of a recording's nuisances, the iron in force among them; None trusts no
     calibration."""
-    iron = () if trust is None else replay.iron.nuisances(trust)
-    return Prior.of((*replay.nuisances, *iron))
+    return replay.prior if trust is None else replay.prior.beside(replay.iron.prior(trust))
 
 
 def field_channels(replay: Replay) -> FloatArray | None:
@@ -261,7 +260,7 @@ def _unknown(problem: Problem, fit: Fit, test: Mask) -> tuple[float, float]:
     heading = [heading_error_rad(problem.replay, one, predicted)[rows] for one in changed]
     field = changes[rows].reshape(3 * rows.size, -1)
     turned = np.degrees(np.stack(heading, axis=1))
-    count = sum(n.mean.size for n in problem.nuisances)
+    count = fit.nuisances.size
     covariance = fit.covariance[:count, :count]
     field_more, heading_more = (
         float(np.mean(np.einsum("np,pq,nq->n", J, covariance, J))) for J in (field, turned)

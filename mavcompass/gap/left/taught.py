@@ -39,7 +39,6 @@ from mavcompass.gap.replay.nuisance import (
     STATED,
     TELEMETRY_AGE,
     WORLD_FIELD,
-    Nuisance,
     Prior,
     Trust,
 )
@@ -186,79 +185,67 @@ def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust:
     kept = {IRON_MATRIX, IRON_OFFSET, TELEMETRY_AGE}
     if _same_place(replay, baseline):
         kept.add(WORLD_FIELD.id)
-    own = prior_of(replay, trust).nuisances
-    sizes = [theta.size for theta in fit.nuisance_thetas]
-    starts = np.cumsum([0, *sizes]).tolist()
-    there = {
-        n.effect.id: (theta, at)
-        for n, theta, at in zip(problem.nuisances, fit.nuisance_thetas, starts, strict=False)
-    }
-    taught: list[Nuisance] = []
+    own, there = prior_of(replay, trust), problem.prior.places
+    mean, precision = own.mean.copy(), own.precision.copy()
     source, place = list[int](), list[int]()  # of parameters that are taught: there, and here
-    at = 0
-    for nuisance in own:
-        theta, first = there.get(nuisance.effect.id, (np.zeros(0), 0))
-        if nuisance.effect.id in kept and theta.size == nuisance.mean.size:
-            mean = theta.copy()
-            if nuisance.effect.id == TELEMETRY_AGE:
-                mean += baseline.late_s - replay.late_s
-            if nuisance.effect is WORLD_FIELD:
-                mean = _field_here(replay, baseline, theta)
-            nuisance = replace(nuisance, mean=mean)
-            source += range(first, first + theta.size)
-            place += range(at, at + theta.size)
+    for nuisance, at in own.places.items():
+        theta = fit.nuisances[there[nuisance]] if nuisance in there else np.zeros(0)
+        if nuisance in kept and theta.size == at.stop - at.start:
+            mean[at] = theta
+            if nuisance == TELEMETRY_AGE:
+                mean[at] += baseline.late_s - replay.late_s
+            if nuisance == WORLD_FIELD.id:
+                mean[at] += _field_apart(replay, baseline)
+            source += range(there[nuisance].start, there[nuisance].stop)
+            place += range(at.start, at.stop)
         elif (
-            nuisance.effect.id == REFERENCE_YAW
+            nuisance == REFERENCE_YAW
             and theta.size
             and not (replay.reference.yaw_unknown or baseline.reference.yaw_unknown)
         ):
             # A witness of the yaw is off by the same constant as it was in the baseline.
-            mean, precision = nuisance.mean.copy(), nuisance.precision.copy()
-            mean[0] = theta[0]
-            variance = (
-                usual.baseline.widening * float(fit.covariance[first, first]) + usual.autopilot.daily_rad**2
-            )
-            precision[0, 0] = 1.0 / variance
-            nuisance = replace(nuisance, mean=mean, precision=precision)
-        taught.append(nuisance)
-        at += nuisance.mean.size
-    stated = np.concatenate([n.mean for n in own]) if own else np.zeros(0)
-    folded_at = starts[-1]
+            constant = there[nuisance].start
+            variance = usual.baseline.widening * float(fit.covariance[constant, constant])
+            mean[at.start] = theta[0]
+            precision[at.start, at.start] = 1.0 / (variance + usual.autopilot.daily_rad**2)
+    folded_from, folded_to = fit.nuisances.size, own.mean.size
+    folded = []
     for term, theta in zip(fit.terms, fit.thetas, strict=True):
         index = np.flatnonzero(term.free)
-        taught.append(Nuisance.of(term.effect, theta.copy(), np.maximum(term.effect.scale, 1e-9) * 1e-6))
-        source += range(folded_at, folded_at + index.size)
-        place += (at + index).tolist()
-        folded_at += index.size
-        at += theta.size
-    prior = Prior.of(taught)
+        folded.append(Prior.of(term.effect, theta, np.maximum(term.effect.scale, 1e-9) * 1e-6))
+        source += range(folded_from, folded_from + index.size)
+        place += (folded_to + index).tolist()
+        folded_from += index.size
+        folded_to += theta.size
+    prior = replace(own, mean=mean, precision=precision).beside(*folded)
     if not source:
         return prior
-    daily = np.zeros(at)
+    daily = np.zeros(prior.mean.size)
     if replay.reference.kind != "columns":
-        daily = np.concatenate([_daily(n, trust, replay, baseline) for n in taught])
+        for nuisance, at in prior.places.items():
+            daily[at] = _daily(nuisance, prior.mean[at], trust, replay, baseline)
     covariance = usual.baseline.widening * fit.covariance[np.ix_(source, source)] + np.diag(daily[place] ** 2)
     told = np.maximum(np.diag(covariance) * np.diag(prior.precision)[place], 1.0)
     # What a baseline hardly shows (motors that idle) stays within what is stated for this recording.
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    precision, mean = prior.precision.copy(), prior.mean
+    precision, mean = prior.precision.copy(), prior.mean.copy()
     precision[np.ix_(place, place)] = np.linalg.pinv(covariance / np.outer(size, size)) * np.outer(
         np.sqrt(told) / size, np.sqrt(told) / size
     )
-    known = np.flatnonzero(np.array(place) < stated.size)
+    known = np.flatnonzero(np.array(place) < own.mean.size)
     at_known = np.array(place)[known]
-    mean[at_known] = stated[at_known] + (mean[at_known] - stated[at_known]) / told[known]
-    return replace(prior.moved(mean), precision=precision)
+    mean[at_known] = own.mean[at_known] + (mean[at_known] - own.mean[at_known]) / told[known]
+    return replace(prior, mean=mean, precision=precision)
 
 
-def _daily(taught: Nuisance, trust: Trust | None, replay: Replay, baseline: Replay) -> FloatArray:
+def _daily(
+    nuisance: str, mean: FloatArray, trust: Trust | None, replay: Replay, baseline: Replay
+) -> FloatArray | float:
     """Say how much each parameter of a nuisance differs from one recording to the next."""
-    daily = np.full(taught.mean.size, _FROM_DAY_TO_DAY.get(taught.effect.id, 0.0))
-    if taught.effect.id == TELEMETRY_AGE:
+    daily = _FROM_DAY_TO_DAY.get(nuisance, 0.0)
+    if nuisance == TELEMETRY_AGE:
         waiting_s = _BOUNDED * max(_waiting_s(replay), _waiting_s(baseline))
-        return np.hypot(
-            daily, np.minimum(waiting_s, usual.baseline.waiting * np.abs(taught.mean + replay.late_s))
-        )
+        return np.hypot(daily, np.minimum(waiting_s, usual.baseline.waiting * np.abs(mean + replay.late_s)))
     # An iron that nobody measured but this baseline takes all its errors with it.
     return usual.baseline.unmeasured * daily if trust is ANOTHER_IRON else daily
 
@@ -278,11 +265,12 @@ def _waiting_s(replay: Replay) -> float:
     return math.sqrt(max(step**2 / 6.0 - 2.0 * float(np.var(fresh - read)), 0.0))
 
 
-def _field_here(replay: Replay, baseline: Replay, theta: FloatArray) -> FloatArray:
+def _field_apart(replay: Replay, baseline: Replay) -> FloatArray | float:
+    """Return by how much the baseline's field is more than the recording's, NED, where it is a guess."""
     if baseline.field_known and replay.field_known:
-        return theta.copy()
-    field = baseline.signals.stimulus.field_ned_mgauss[0] + theta
-    return np.asarray(field - replay.signals.stimulus.field_ned_mgauss[0])
+        return 0.0
+    field, there = (one.signals.stimulus.field_ned_mgauss[0] for one in (replay, baseline))
+    return np.asarray(there - field)
 
 
 def _same_place(replay: Replay, baseline: Replay) -> bool:

@@ -24,7 +24,7 @@ from mavcompass.gap.replay.nuisance import (
     AGE,
     WORLD_FIELD,
     KnownIron,
-    Nuisance,
+    Prior,
     known_iron,
     load_of,
     reference_attitude_error,
@@ -67,7 +67,7 @@ class Replay:
         valid: rows with a reading and a reference, from as late on as a reading may be late, (N,).
         groups: the sensors that can be compared: the compass always, accelerometer and gyro where the
             reference did not come from them.
-        nuisances: what must be solved for besides any effect.
+        prior: what must be solved for besides any effect, and what is known of it beforehand.
         present: what the recording contains of the needs of effects.
         reference: where the attitude comes from.
         resolution_mgauss: the noise that the numbers' steps alone make.
@@ -89,7 +89,7 @@ class Replay:
     measured: Reading
     valid: NDArray[np.bool_]
     groups: tuple[Group, ...]
-    nuisances: tuple[Nuisance, ...]
+    prior: Prior
     present: frozenset[str]
     reference: Reference
     resolution_mgauss: float
@@ -216,7 +216,7 @@ def replay(
         measured=measured,
         valid=valid,
         groups=groups,
-        nuisances=_nuisances(
+        prior=_prior(
             reference, stimulus, raw if corrected is None else corrected, sigma, rows.telemetry, valid, told_s
         ),
         present=present,
@@ -287,7 +287,7 @@ def _stimulus(
     )
 
 
-def _nuisances(
+def _prior(
     reference: Reference,
     stimulus: Stimulus,
     calibrated: FloatArray,
@@ -295,9 +295,9 @@ def _nuisances(
     telemetry: bool,
     valid: NDArray[np.bool_],
     late_s: float,
-) -> tuple[Nuisance, ...]:
+) -> Prior:
     field_unknown = bool(field_sigma[0] >= usual.place.unknown_mgauss)
-    found = [Nuisance.of(WORLD_FIELD, np.zeros(3), field_sigma)]
+    found = [Prior.of(WORLD_FIELD, np.zeros(3), field_sigma)]
     # With an unknown field, north is where the field points: a constant yaw error means nothing.
     constant = 0.0 if field_unknown else reference.yaw_sigma_rad
     if constant > 0.0 or reference.curves_rad.size:
@@ -308,10 +308,10 @@ def _nuisances(
         mean[0] = float(wrap_pi(offset)) if constant > usual.yaw.unknown_rad else 0.0
         sigma[:], sigma[0] = 1.0, max(constant, 1e-9)
         effect = reference_attitude_error(reference.curves_rad, reference.with_yaw)
-        found.append(Nuisance.of(effect, mean, sigma))
+        found.append(Prior.of(effect, mean, sigma))
     if telemetry:
-        found.append(Nuisance.of(AGE, np.array([usual.age.usual_s - late_s]), np.array([usual.age.sigma_s])))
-    return tuple(found)
+        found.append(Prior.of(AGE, np.array([usual.age.usual_s - late_s]), np.array([usual.age.sigma_s])))
+    return Prior().beside(*found)
 
 
 _NO_SENSOR = (

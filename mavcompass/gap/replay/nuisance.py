@@ -14,9 +14,10 @@ refutes that, of another iron.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavcompass.correction import IDENTITY, FieldCorrection, MotorSource
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back, rotvec_to_matrix
@@ -31,48 +32,62 @@ _ENTRIES = tuple(f"{row}{column}" for row in "xyz" for column in "xyz")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Nuisance:
-    """Hold a nuisance effect, its prior mean (k,) and the inverse of its prior covariance (k, k)."""
-
-    effect: Effect
-    mean: FloatArray
-    precision: FloatArray
-
-    @property
-    def known(self) -> int:
-        """Count the leading parameters that something is known of: how the attitude wanders is not."""
-        return 1 if self.effect.id == REFERENCE_YAW else self.mean.size
-
-    @classmethod
-    def of(cls, effect: Effect, mean: FloatArray, sigma: FloatArray) -> Nuisance:
-        """Build one with independent priors."""
-        return cls(effect, mean, np.diag(1.0 / np.square(sigma)))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Prior:
-    """Hold nuisances with the inverse of their joint prior covariance (K, K), K parameters in their order."""
+    """Hold nuisances and what is known of their parameters, one after the other, as one normal distribution.
 
-    nuisances: tuple[Nuisance, ...]
-    precision: FloatArray
+    Attributes:
+        effects: the nuisances. mean: (K,). precision: the inverse of the covariance, (K, K).
+    """
+
+    effects: tuple[Effect, ...] = ()
+    mean: FloatArray = field(default_factory=lambda: np.zeros(0))
+    precision: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     @classmethod
-    def of(cls, nuisances: Sequence[Nuisance]) -> Prior:
-        """Build the prior of nuisances that know nothing of each other."""
-        return cls(tuple(nuisances), block_diagonal([n.precision for n in nuisances]))
+    def of(cls, effect: Effect, mean: FloatArray, sigma: FloatArray) -> Prior:
+        """Build that of one nuisance with independent parameters."""
+        return cls((effect,), mean, np.diag(1.0 / np.square(sigma)))
+
+    def beside(self, *others: Prior) -> Prior:
+        """Put others after it, of which it knows nothing."""
+        every = (self, *others)
+        return Prior(
+            tuple(effect for one in every for effect in one.effects),
+            np.concatenate([one.mean for one in every]),
+            block_diagonal([one.precision for one in every]),
+        )
 
     @property
-    def mean(self) -> FloatArray:
-        """Return the prior means of all parameters, (K,)."""
-        return np.concatenate([n.mean for n in self.nuisances]) if self.nuisances else np.zeros(0)
+    def places(self) -> dict[str, slice]:
+        """Return where the parameters of each nuisance stand, by its id."""
+        ends = np.cumsum([len(effect.parameters) for effect in self.effects]).tolist()
+        starts = [0, *ends]
+        return {e.id: slice(*at) for e, *at in zip(self.effects, starts, ends, strict=False)}
 
-    def moved(self, mean: FloatArray) -> Prior:
-        """Return a prior with other means, (K,)."""
-        starts = np.cumsum([0, *(n.mean.size for n in self.nuisances)])
-        parts = (mean[a : a + n.mean.size] for a, n in zip(starts, self.nuisances, strict=False))
-        return replace(
-            self, nuisances=tuple(replace(n, mean=m) for n, m in zip(self.nuisances, parts, strict=True))
-        )
+    @property
+    def lower(self) -> FloatArray:
+        """Return the lower ends of the physical ranges, (K,)."""
+        return np.concatenate([np.zeros(0), *(effect.lower for effect in self.effects)])
+
+    @property
+    def upper(self) -> FloatArray:
+        """Return the upper ends of the physical ranges, (K,)."""
+        return np.concatenate([np.zeros(0), *(effect.upper for effect in self.effects)])
+
+    def holds(self, *ids: str) -> NDArray[np.bool_]:
+        """Tell which parameters belong to some nuisances, (K,)."""
+        out = np.zeros(self.mean.size, dtype=np.bool_)
+        for nuisance, at in self.places.items():
+            out[at] = nuisance in ids
+        return out
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Tell of which parameters something is known, (K,): how an attitude wanders is no knowledge."""
+        out = ~self.holds(REFERENCE_YAW)
+        if REFERENCE_YAW in self.places:
+            out[self.places[REFERENCE_YAW].start] = True
+        return out
 
 
 def block_diagonal(blocks: Sequence[FloatArray]) -> FloatArray:
@@ -133,18 +148,18 @@ def reference_attitude_error(curves_rad: FloatArray, with_yaw: FloatArray | None
     )
 
 
-def yaw_starts(nuisances: Sequence[Nuisance]) -> list[tuple[FloatArray, ...]]:
-    """List where to start a fit that may turn the attitude: from the prior; all around if that is wide."""
-    means = tuple(n.mean for n in nuisances)
-    for place, nuisance in enumerate(nuisances):
-        if nuisance.effect.id == REFERENCE_YAW and nuisance.precision[0, 0] < 1.0 / usual.yaw.unknown_rad**2:
-            starts = []
-            for turn in np.arange(usual.yaw.starts) * 2.0 * np.pi / usual.yaw.starts:
-                mean = nuisance.mean.copy()
-                mean[0] = (mean[0] + turn + np.pi) % (2.0 * np.pi) - np.pi
-                starts.append((*means[:place], mean, *means[place + 1 :]))
-            return starts
-    return [means]
+def yaw_starts(prior: Prior) -> list[FloatArray]:
+    """List where to start a fit that may turn the attitude, (K,) each: from the prior; all around if that is
+    wide."""
+    if REFERENCE_YAW not in prior.places:
+        return [prior.mean]
+    constant = prior.places[REFERENCE_YAW].start
+    if prior.precision[constant, constant] >= 1.0 / usual.yaw.unknown_rad**2:
+        return [prior.mean]
+    starts = np.tile(prior.mean, (usual.yaw.starts, 1))
+    starts[:, constant] += np.arange(usual.yaw.starts) * 2.0 * np.pi / usual.yaw.starts
+    starts[:, constant] = (starts[:, constant] + np.pi) % (2.0 * np.pi) - np.pi
+    return list(starts)
 
 
 def _telemetry_age(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
@@ -207,7 +222,7 @@ class KnownIron(Iron):
         free = raw_mgauss - self.offset_mgauss - self.load[:, None] * self.motor_mgauss
         return np.asarray(free @ np.linalg.inv(self.matrix).T)
 
-    def nuisances(self, trust: Trust) -> tuple[Nuisance, Nuisance]:
+    def prior(self, trust: Trust) -> Prior:
         """Return the iron as part of the nominal simulation, with what is not known of it."""
         sigma = self.sigma(trust)
         (matrix, offset), sigma, bent = self.effects(), sigma[:3], sigma[3:]
@@ -216,7 +231,7 @@ class KnownIron(Iron):
             # A load that is always the same tells nothing: its field is part of the offset.
             told = varies > usual.present.load_share * abs(float(self.load.mean()))
             sigma = np.concatenate([sigma, np.full(3, trust.motor_mgauss / varies if told else 1e-6)])
-        return Nuisance.of(matrix, np.zeros(9), bent), Nuisance.of(offset, np.zeros(sigma.size), sigma)
+        return Prior.of(matrix, np.zeros(9), bent).beside(Prior.of(offset, np.zeros(sigma.size), sigma))
 
     def sigma(self, trust: Trust) -> FloatArray:
         """Return how far offsets (3, in mG) and matrix elements (9) may be off, (12,)."""

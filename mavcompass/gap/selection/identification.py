@@ -304,7 +304,7 @@ def _searched(
         problem = Problem(replay, floor.noise, split.train, floor.prior)
         problem.null(nothing)
         search = Search(problem, effects, kind)
-        tried = [problem.fit(replace(likely, nuisance_thetas=nothing.nuisance_thetas))] if likely else ()
+        tried = [problem.fit(replace(likely, nuisances=nothing.nuisances))] if likely else ()
         search.run(likely=tried)
         posterior = posterior_of(search)
         # Where the noise is only to be learnt, moments need be no nearer.

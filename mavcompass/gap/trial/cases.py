@@ -337,4 +337,4 @@ def noiseless(label: Label) -> tuple[Problem, list[Effect]]:
     """Return the recording of a label without noise, and the effects that a diagnosis could choose."""
     stimulus = stimulus_of(recipe_of(label))
     replayed = replay(to_track(stimulus, affected(stimulus, [parse(text) for text in label.effects])))
-    return Problem(replayed, CASE_NOISE, replayed.valid, Prior.of(())), list(catalogue().values())
+    return Problem(replayed, CASE_NOISE, replayed.valid, Prior()), list(catalogue().values())

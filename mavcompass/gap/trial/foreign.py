@@ -16,7 +16,7 @@ from mavcompass.gap.fit.hypothesis import Fit
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.left.taught import from_baseline
 from mavcompass.gap.replay.nominal import half_testable, replay, untestable_effects
-from mavcompass.gap.replay.nuisance import REFERENCE_YAW, Prior
+from mavcompass.gap.replay.nuisance import REFERENCE_YAW
 from mavcompass.gap.replay.rows import compass_rows, shared_period_s
 from mavcompass.gap.trial.cases import SHARES, Generator, Label, Tier
 from mavcompass.gap.trial.closed_form import UTC_S, Simulated, make, quaternion
@@ -131,15 +131,9 @@ def noiseless(label: Label) -> tuple[Problem, list[Effect]]:
     )
     every = list(catalogue().values())
     floor = from_baseline(exact, before, every)
-    prior = Prior(
-        tuple(
-            replace(n, mean=np.zeros(n.mean.size)) if n.effect.id == REFERENCE_YAW else n
-            for n in floor.prior.nuisances
-        ),
-        floor.prior.precision,
-    )
-    as_known = Fit(nuisance_thetas=tuple(n.mean for n in prior.nuisances))
-    plain = Problem(exact, floor.noise, exact.valid, prior).predict(as_known).mag_mgauss
+    facing = floor.prior.holds(REFERENCE_YAW)
+    prior = replace(floor.prior, mean=np.where(facing, 0.0, floor.prior.mean))
+    plain = Problem(exact, floor.noise, exact.valid, prior).predict(Fit(nuisances=prior.mean)).mag_mgauss
     exact = replace(exact, measured=replace(exact.measured, mag_mgauss=plain + change[middles]))
     unable = untestable_effects(exact, every, before.telemetry).keys() - half_testable(exact, every)
     return Problem(exact, floor.noise, exact.valid, prior), [e for e in every if e.id not in unable]

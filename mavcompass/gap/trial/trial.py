@@ -159,7 +159,7 @@ def _turned(label: Label, search: Search, removed: str) -> Fit | None:
     terms = {term.effect.id: term for term in search.terms if term.effect.kind == "discrete"}
     turns = [text for text in label.effects if text.partition(":")[0] in terms.keys() - {removed}]
     kept = [parse(text) for text in turns]
-    known = tuple(n.mean for n in search.problem.nuisances)
+    known = search.problem.prior.mean
     return Fit(tuple(terms[s.effect.id] for s in kept), tuple(s.theta for s in kept), known) if kept else None
 
 
@@ -171,7 +171,7 @@ def _distance(search: Search, removed: frozenset[str], most: int, held: Fit | No
 
     usable = [term for term in search.terms if term.effect.id not in removed]
     least = nearest(usable)
-    if search.problem.nuisances and least > _NO_NEARER * search.problem.null().sse:
+    if search.problem.prior.effects and least > _NO_NEARER * search.problem.null().sse:
         # Beside bent nuisances the normal equations may have pointed nowhere: each by itself.
         least = min([least, *(nearest([term]) for term in usable)])
     return math.sqrt(max(least, 0.0))
@@ -191,10 +191,9 @@ def _as_modelled(label: Label, search: Search) -> tuple[Search | None, float]:
         # Another make's effect may be larger than the catalogue calls physical.
         return search, math.nan
     problem = search.problem
-    known = tuple(n.mean for n in problem.nuisances)
     named = tuple(terms[s.effect.id] for s in settings)
     placed = product(*(placements(s.effect, s.theta, problem.replay.iron.offset_mgauss) for s in settings))
-    starts = [Fit(named, thetas, known) for thetas in placed]
+    starts = [Fit(named, thetas, problem.prior.mean) for thetas in placed]
     least, nearest = min(((problem.fit(start).sse, start) for start in starts), key=itemgetter(0))
     made = problem.predict(nearest).mag_mgauss
     replayed = replace(problem.replay, measured=replace(problem.replay.measured, mag_mgauss=made))
@@ -204,7 +203,7 @@ def _as_modelled(label: Label, search: Search) -> tuple[Search | None, float]:
 
 def _size(problem: Problem) -> float:
     """Return the whitened length of what the effects change, nothing else being fitted."""
-    known = Fit(nuisance_thetas=tuple(n.mean for n in problem.nuisances))
+    known = Fit(nuisances=problem.prior.mean)
     return float(np.linalg.norm(problem.residual(problem.predict(known))))
 
 

@@ -17,7 +17,7 @@ LAG, LOW_PASS, HARD_IRON = (registry.get(name) for name in ("transport_lag", "lo
 
 def criteria(spread: float) -> Criteria:
     """Return criteria of fits whose one number is what they strain; blocks contradict each other."""
-    problem: Any = SimpleNamespace(count=500, strain=lambda fit: float(fit.nuisance_thetas[0][0]))
+    problem: Any = SimpleNamespace(count=500, strain=lambda fit: float(fit.nuisances[0]))
     found = Criteria(problem, "baseline")
     found.temper = spread
     return found
@@ -28,7 +28,7 @@ def fit(left: float, strain: float, *effects: Any) -> Fit:
     sizes = [len(e.parameters) for e in effects]
     free = [np.ones(size, dtype=np.bool_) for size in sizes]
     terms = tuple(Term(e, f, np.zeros(n), np.ones(n)) for e, f, n in zip(effects, free, sizes, strict=True))
-    return Fit(terms, tuple(np.full(n, 0.25) for n in sizes), (np.array([strain]),), left + strain)
+    return Fit(terms, tuple(np.full(n, 0.25) for n in sizes), np.array([strain]), left + strain)
 
 
 @pytest.mark.parametrize("contradiction", [1.0, 5.0, 84.0])

@@ -60,7 +60,7 @@ def test_each_derivative_is_the_difference_that_a_small_step_makes(
 ) -> None:
     at = flight()
     prior = prior_of(at, STATED)
-    composition = Composition(at, prior.nuisances)
+    composition = Composition(at, prior)
     terms = [make_term(catalogue()[name], at.signals) for name in names]
     thetas = []
     for term, name in zip(terms, names, strict=True):
@@ -68,13 +68,13 @@ def test_each_derivative_is_the_difference_that_a_small_step_makes(
         for key, value in _WITH[name].items():
             theta[term.effect.names.index(key)] = value
         thetas.append(theta)
-    known = [n.mean.copy() for n in prior.nuisances]
+    known = [prior.mean[place] for place in prior.places.values()]
     everything = [*known, *thetas]
-    fit = Fit(tuple(terms), tuple(thetas), tuple(known))
+    fit = Fit(tuple(terms), tuple(thetas), prior.mean)
     told = composition.changes(fit, composition.states(fit), range(len(everything)))
     column = 0
     for place in range(len(everything)):
-        effect = (prior.nuisances[place] if place < len(known) else terms[place - len(known)]).effect
+        effect = [*prior.effects, *(term.effect for term in terms)][place]
         for j in composition.free(terms, place):
             step = 1e-4 * effect.parameters[j].scale
             ends = []
@@ -83,7 +83,7 @@ def test_each_derivative_is_the_difference_that_a_small_step_makes(
                 moved[place][j] += side
                 ends.append(
                     composition.states(
-                        Fit(tuple(terms), tuple(moved[len(known) :]), tuple(moved[: len(known)]))
+                        Fit(tuple(terms), tuple(moved[len(known) :]), np.concatenate(moved[: len(known)]))
                     )[-1]
                 )
             change = (ends[1].reading.mag_mgauss - ends[0].reading.mag_mgauss) / (2.0 * step)
@@ -98,15 +98,14 @@ def test_each_derivative_is_the_difference_that_a_small_step_makes(
 def test_what_is_held_has_no_derivative(name: str) -> None:
     """A delay beside the age of the telemetry, with which it is reckoned together, as anything else."""
     at = flight()
-    nuisances = prior_of(at, STATED).nuisances
-    assert "telemetry age" in {n.effect.id for n in nuisances}
-    composition = Composition(at, nuisances)
+    prior = prior_of(at, STATED)
+    assert "telemetry age" in prior.places
+    composition = Composition(at, prior)
     term = make_term(catalogue()[name], at.signals)
     held = replace(term, free=np.zeros_like(term.free))
-    known = tuple(n.mean for n in nuisances)
     counts = []
     for one in (term, held):
-        fit = Fit((one,), (term.effect.neutral(),), known)
-        told = composition.changes(fit, composition.states(fit), range(len(known) + 1))
+        fit = Fit((one,), (term.effect.neutral(),), prior.mean)
+        told = composition.changes(fit, composition.states(fit), range(len(prior.effects) + 1))
         counts.append(told["mag"].shape[2])
     assert counts[0] - counts[1] == np.count_nonzero(term.free)

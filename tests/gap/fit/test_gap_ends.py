@@ -12,7 +12,6 @@ from mavcompass.gap.fit.composition import Composition
 from mavcompass.gap.fit.hypothesis import Fit, make_term
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.replay.nominal import replay
-from mavcompass.gap.replay.nuisance import Prior
 from mavcompass.gap.trial.cases import CASE_NOISE, Recipe, make_track
 from mavcompass.simulation.effects import catalogue, parse
 
@@ -22,13 +21,12 @@ TRUE = "hard_iron:x=25,y=-10,z=5"
 @pytest.fixture(scope="module")
 def problem() -> Problem:
     replayed = replay(make_track(Recipe("rich", duration_s=60.0, rate_hz=8.0, seed=6), [parse(TRUE)]))
-    return Problem(replayed, CASE_NOISE, replayed.valid, Prior.of(replayed.nuisances))
+    return Problem(replayed, CASE_NOISE, replayed.valid, replayed.prior)
 
 
 def fitted(problem: Problem, *start: float) -> Fit:
     term = make_term(catalogue()["hard_iron"], problem.replay.signals)
-    means = tuple(n.mean for n in problem.nuisances)
-    return problem.fit(Fit((term,), (np.array(start),), means))
+    return problem.fit(Fit((term,), (np.array(start),), problem.prior.mean))
 
 
 def test_from_wherever_it_began_a_fit_ends_in_the_same_place(problem: Problem) -> None:

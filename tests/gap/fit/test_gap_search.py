@@ -12,7 +12,8 @@ from mavcompass.gap.fit.hypothesis import Fit, Term
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.search import Search, unbent
 from mavcompass.gap.replay.nominal import replay
-from mavcompass.gap.replay.nuisance import AGE, WORLD_FIELD, Nuisance, Prior, reference_attitude_error
+from mavcompass.gap.replay.nuisance import AGE, WORLD_FIELD, Prior, reference_attitude_error
+from mavcompass.gap.tables import usual
 from mavcompass.gap.trial.cases import CASE_NOISE, Recipe, make_track
 from mavcompass.simulation.effects import parse, registry
 
@@ -30,38 +31,41 @@ def test_an_attitude_that_a_gap_has_bent_is_returned_to_what_is_known(
     constant: float, curves: float, kept: tuple[bool, bool]
 ) -> None:
     sigma = np.array([0.02, 1.0, 1.0, 1.0, 1.0])
-    yaw = Nuisance.of(reference_attitude_error(np.zeros((3, 3, 4))), np.zeros(5), sigma)
+    yaw = Prior.of(reference_attitude_error(np.zeros((3, 3, 4))), np.zeros(5), sigma)
     bent = sigma * np.array([constant, *[curves] * 4])
     problem: Any = SimpleNamespace(
         replay=SimpleNamespace(signals=None),
         count=500,
-        nuisances=(yaw,),
-        null=lambda: Fit((), (), (bent,), 100.0),
+        prior=yaw,
+        null=lambda: Fit((), (), bent, 100.0),
         straight=lambda fit: False,
     )
-    (after,) = unbent(problem, problem.null(), curves=True).nuisance_thetas
+    after = unbent(problem, problem.null(), curves=True).nuisances
     assert after[0] == (bent[0] if kept[0] else 0.0)
     assert after[1:].tolist() == (bent[1:] if kept[1] else 0.0 * bent[1:]).tolist()
     # What is left without any effect is left beside the attitude that explains it best.
-    (left,) = unbent(problem, problem.null()).nuisance_thetas
+    left = unbent(problem, problem.null()).nuisances
     assert left[1:].tolist() == bent[1:].tolist()
+
+
+def _field_and_age() -> Prior:
+    age = Prior.of(AGE, np.array([0.05]), np.array([usual.age.sigma_s]))
+    return Prior.of(WORLD_FIELD, np.zeros(3), np.full(3, 5.0)).beside(age)
 
 
 @pytest.mark.parametrize(("late", "stays"), [(2.0, True), (9.0, False)])
 def test_how_old_readings_are_is_not_bent_back_with_the_rest(late: float, stays: bool) -> None:
-    field = Nuisance.of(WORLD_FIELD, np.zeros(3), np.full(3, 5.0))
-    age = Nuisance.of(AGE, np.array([0.05]), np.array([0.01]))
-    bent = (np.array([40.0, 0.0, 0.0]), np.array([0.05 + 0.01 * late]))
+    prior = _field_and_age()
+    bent = np.array([40.0, 0.0, 0.0, 0.05 + usual.age.sigma_s * late])
     problem: Any = SimpleNamespace(
         replay=SimpleNamespace(signals=None),
         count=500,
-        nuisances=(field, age),
+        prior=prior,
         null=lambda: Fit((), (), bent, 100.0),
         straight=lambda fit: False,
     )
-    kept = unbent(problem, problem.null()).nuisance_thetas
-    assert kept[0].tolist() == [0.0, 0.0, 0.0]
-    assert kept[1].tolist() == (bent[1] if stays else age.mean).tolist()
+    kept = unbent(problem, problem.null()).nuisances
+    assert kept.tolist() == [0.0, 0.0, 0.0, bent[3] if stays else prior.mean[3]]
 
 
 def test_a_search_of_few_effects_names_no_more_whatever_was_explored() -> None:
@@ -70,7 +74,7 @@ def test_a_search_of_few_effects_names_no_more_whatever_was_explored() -> None:
     def fit(left: float, *ids: str) -> Fit:
         one = np.ones(1, dtype=np.bool_)
         terms = tuple(Term(registry.get(e), one, np.zeros(1), np.ones(1)) for e in ids)
-        return Fit(terms, tuple(np.array([0.25]) for _ in terms), (), left)
+        return Fit(terms, tuple(np.array([0.25]) for _ in terms), np.zeros(0), left)
 
     one = Search(problem, ())
     nothing, lag, both = fit(1000.0), fit(700.0, "transport_lag"), fit(300.0, "transport_lag", "low_pass")
@@ -86,7 +90,7 @@ def test_a_turn_that_leaves_nothing_is_found_without_a_second_look_at_others(
 ) -> None:
     effects = [parse("orientation:orientation=10"), *([parse(beside)] if beside else [])]
     replayed = replay(make_track(Recipe("rich", duration_s=60.0, rate_hz=8.0, seed=6), effects))
-    problem = Problem(replayed, CASE_NOISE, replayed.valid, Prior.of(replayed.nuisances))
+    problem = Problem(replayed, CASE_NOISE, replayed.valid, replayed.prior)
     one = Search(
         problem, [registry.get(e) for e in ("orientation", "hard_iron", "soft_iron", "transport_lag")]
     )
@@ -105,14 +109,12 @@ def test_a_turn_that_leaves_nothing_is_found_without_a_second_look_at_others(
 
 def test_nuisances_alone_begin_where_another_problem_has_them_as_far_as_it_does() -> None:
     """A second pass may have found that places wander, of which the first knew nothing."""
-    field = Nuisance.of(WORLD_FIELD, np.zeros(3), np.full(3, 5.0))
-    age = Nuisance.of(AGE, np.array([0.05]), np.array([0.01]))
 
-    def begun(near: Fit | None) -> list[list[float]]:
+    def begun(near: Fit | None) -> list[float]:
         fit = lambda start: start  # noqa: E731
-        problem: Any = SimpleNamespace(_null=None, nuisances=(field, age), fit=fit)
-        return [theta.tolist() for theta in Problem.null(problem, near).nuisance_thetas]
+        problem: Any = SimpleNamespace(_null=None, prior=_field_and_age(), fit=fit)
+        return Problem.null(problem, near).nuisances.tolist()
 
-    assert begun(None) == [[0.0, 0.0, 0.0], [0.05]]
-    assert begun(Fit((), (), (np.array([1.0, 2.0, 3.0]),), 9.0)) == [[1.0, 2.0, 3.0], [0.05]]
-    assert begun(Fit((), (), (np.array([1.0, 2.0, 3.0]), np.array([0.1])), 9.0)) == [[1.0, 2.0, 3.0], [0.1]]
+    assert begun(None) == [0.0, 0.0, 0.0, 0.05]
+    assert begun(Fit(nuisances=np.array([1.0, 2.0, 3.0]))) == [1.0, 2.0, 3.0, 0.05]
+    assert begun(Fit(nuisances=np.array([1.0, 2.0, 3.0, 0.1]))) == [1.0, 2.0, 3.0, 0.1]

@@ -27,7 +27,6 @@ from mavcompass.gap.replay.nuisance import (
     STATED,
     WORLD_FIELD,
     KnownIron,
-    Nuisance,
     Prior,
     known_iron,
     reference_attitude_error,
@@ -78,11 +77,11 @@ def test_raw_and_field_are_inverse_and_agree_with_the_correction(
     np.testing.assert_allclose(iron.field(field), correction.apply(field, load), atol=1e-8)
 
 
-def in_order(nuisances: tuple[Nuisance, Nuisance], signals: Signals, thetas: list[FloatArray]) -> FloatArray:
+def in_order(prior: Prior, signals: Signals, thetas: list[FloatArray]) -> FloatArray:
     """Run the two nuisances in the order of their stages."""
-    assert nuisances[0].effect.stage < nuisances[1].effect.stage
-    for nuisance, theta in zip(nuisances, thetas, strict=True):
-        signals = nuisance.effect.forward(signals, theta, {}, None)
+    assert prior.effects[0].stage < prior.effects[1].stage
+    for effect, theta in zip(prior.effects, thetas, strict=True):
+        signals = effect.forward(signals, theta, {}, None)
     return signals.reading.mag_mgauss
 
 
@@ -92,18 +91,18 @@ def test_nuisances_at_zero_are_the_iron_and_beside_it_what_they_say(loaded: bool
     signals = Signals(stimulus, ideal(stimulus))
     load = stimulus.current_a if loaded else np.zeros(stimulus.time_s.size)
     iron = known_iron(FULL, load, "current")
-    nuisances = iron.nuisances(STATED)
-    zeros = [n.mean for n in nuisances]
+    prior = iron.prior(STATED)
+    zeros = [prior.mean[place] for place in prior.places.values()]
     assert [z.size for z in zeros] == [9, 6 if loaded else 3]
     field = signals.reading.mag_mgauss
-    np.testing.assert_allclose(in_order(nuisances, signals, zeros), iron.raw(field), atol=1e-9)
+    np.testing.assert_allclose(in_order(prior, signals, zeros), iron.raw(field), atol=1e-9)
     rng = np.random.default_rng(1)
     off = [rng.normal(0.0, 0.02, 9), rng.normal(0.0, 5.0, zeros[1].size)]
     expected = field @ (iron.matrix @ (np.eye(3) + off[0].reshape(3, 3))).T + iron.offset_mgauss + off[1][:3]
     expected += load[:, None] * iron.motor_mgauss
     if loaded:
         expected += (load - load.mean())[:, None] * off[1][3:]
-    np.testing.assert_allclose(in_order(nuisances, signals, off), expected, atol=1e-9)
+    np.testing.assert_allclose(in_order(prior, signals, off), expected, atol=1e-9)
 
 
 def test_trust_grows_with_what_is_cured_and_a_steady_load_tells_nothing_of_motors() -> None:
@@ -117,7 +116,7 @@ def test_trust_grows_with_what_is_cured_and_a_steady_load_tells_nothing_of_motor
     np.testing.assert_allclose(full.sigma(ANOTHER_IRON), [150.0] * 3 + [0.1] * 9)
 
     def motor_sigma(iron: KnownIron) -> FloatArray:
-        return np.diag(iron.nuisances(STATED)[1].precision)[3:] ** -0.5
+        return np.diag(iron.prior(STATED).precision)[12:] ** -0.5
 
     varying = known_iron(FULL, np.linspace(2.0, 22.0, n), "current")
     np.testing.assert_allclose(motor_sigma(varying), 1.0 / 20.0)
@@ -180,13 +179,10 @@ def whole_chain(
     curves = drawn(replayed.time_s, np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0]))
     with_yaw = 0.006 * np.stack([np.cos(0.3 * replayed.time_s + k) for k in range(3)], axis=1)
     iron = known_iron(FULL, replayed.signals.stimulus.current_a, "current")
-    matrix, offset = iron.nuisances(STATED)
-    nuisances = (
-        Nuisance.of(WORLD_FIELD, np.zeros(3), np.full(3, 5.0)),
-        Nuisance.of(reference_attitude_error(curves, with_yaw), np.zeros(3), np.array([0.1, 1.0, 1.0])),
-        matrix,
-        offset,
-        Nuisance.of(AGE, np.array([0.06]), np.array([0.05])),
+    prior = Prior.of(WORLD_FIELD, np.zeros(3), np.full(3, 5.0)).beside(
+        Prior.of(reference_attitude_error(curves, with_yaw), np.zeros(3), np.array([0.1, 1.0, 1.0])),
+        iron.prior(STATED),
+        Prior.of(AGE, np.array([0.06]), np.array([0.05])),
     )
     rng = np.random.default_rng(4)
     thetas = [
@@ -198,7 +194,7 @@ def whole_chain(
     ]
     reference = replace(replayed.reference, with_yaw=with_yaw, curves_rad=curves)
     bent = replace(replayed, reference=reference, groups=("mag",))
-    return Problem(bent, {"mag": noise}, bent.valid, Prior.of(nuisances)), thetas
+    return Problem(bent, {"mag": noise}, bent.valid, prior), thetas
 
 
 WANDERING = SensorNoise(
@@ -216,14 +212,14 @@ def test_derivatives_are_finite_differences_through_the_whole_chain(
     members = [effects.parse(text) for text in (*texts, "misalignment:x=0.02,y=-0.03,z=0.04")]
     terms = [make_term(s.effect, replayed.signals) for s in members]
     thetas = [s.theta for s in members]
-    fit = Fit(tuple(terms), tuple(thetas), tuple(nuisances))
+    fit = Fit(tuple(terms), tuple(thetas), np.concatenate(nuisances))
     everything = [*nuisances, *thetas]
     n = len(nuisances)
     columns = problem.columns(fit, problem.composition.states(fit), range(len(everything)))
     at = 0
     for place, theta in enumerate(everything):
         nuisance = place < n
-        effect = problem.nuisances[place].effect if nuisance else terms[place - n].effect
+        effect = problem.prior.effects[place] if nuisance else terms[place - n].effect
         free = range(theta.size) if nuisance else np.flatnonzero(terms[place - n].free)
         for j in free:
             h = 1e-4 * max(effect.parameters[j].scale, 1e-9)
@@ -231,7 +227,7 @@ def test_derivatives_are_finite_differences_through_the_whole_chain(
             for sign in (1.0, -1.0):
                 moved = [x.copy() for x in everything]
                 moved[place][j] += sign * h
-                reading = problem.predict(Fit(tuple(terms), tuple(moved[n:]), tuple(moved[:n])))
+                reading = problem.predict(Fit(tuple(terms), tuple(moved[n:]), np.concatenate(moved[:n])))
                 ends.append(-problem.residual(reading))
             exact = (ends[0] - ends[1]) / (2.0 * h)
             off = float(np.linalg.norm(columns[:, at] - exact))
@@ -239,4 +235,4 @@ def test_derivatives_are_finite_differences_through_the_whole_chain(
             assert off < 4e-3 * max(float(np.linalg.norm(exact)), 1e-6), (effect.id, j)
             at += 1
     assert at == columns.shape[1]
-    assert problem.nuisances[1].effect.id == REFERENCE_YAW and math.isfinite(float(columns.sum()))
+    assert problem.prior.effects[1].id == REFERENCE_YAW and math.isfinite(float(columns.sum()))

@@ -15,9 +15,8 @@ from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.left.floor import foreseen, from_recording
 from mavcompass.gap.replay.nominal import Replay, replay, untestable_effects
 from mavcompass.gap.replay.nuisance import (
-    REFERENCE_YAW,
     WORLD_FIELD,
-    Nuisance,
+    Prior,
     reference_attitude_error,
 )
 from mavcompass.gap.replay.rows import compass_rows
@@ -88,12 +87,11 @@ def test_readings_lost_by_chance_are_no_slow_compass() -> None:
 def with_curves(replayed: Replay, curves_rad: FloatArray) -> Replay:
     """Return a replay whose attitude is known but for a little yaw and some curves (N, 3, k)."""
     k = curves_rad.shape[2]
-    unknown = Nuisance.of(
-        reference_attitude_error(curves_rad), np.zeros(1 + k), np.array([0.01, *np.ones(k)])
-    )
-    others = tuple(n for n in replayed.nuisances if n.effect.id != REFERENCE_YAW)
+    unknown = Prior.of(reference_attitude_error(curves_rad), np.zeros(1 + k), np.array([0.01, *np.ones(k)]))
+    field = replayed.prior
+    others = Prior(field.effects[:1], field.mean[:3], field.precision[:3, :3])
     reference = replace(replayed.reference, curves_rad=curves_rad)
-    return replace(replayed, reference=reference, nuisances=(*others, unknown))
+    return replace(replayed, reference=reference, prior=others.beside(unknown))
 
 
 def test_floor_rises_with_what_the_training_rows_leave_unknown_and_not_with_what_they_fix() -> None:
@@ -120,8 +118,8 @@ def test_floor_rises_with_what_the_training_rows_leave_unknown_and_not_with_what
     # East changes by the down component of the field that the training rows find, and down by the east one.
     floor = from_recording(replayed)
     null = Problem(replayed, floor.noise, split.train, floor.prior).null()
-    assert replayed.nuisances[0].effect is WORLD_FIELD
-    north, east, down = replayed.signals.stimulus.field_ned_mgauss[0] + null.nuisance_thetas[0]
+    assert replayed.prior.effects[0] is WORLD_FIELD
+    north, east, down = replayed.signals.stimulus.field_ned_mgauss[0] + null.nuisances[:3]
     whole = float(size * np.hypot(east, down) / math.sqrt(3.0))
     heading = math.degrees(size * down / np.hypot(north, east))
     assert math.sqrt(unknown[0] ** 2 - none[0] ** 2) == pytest.approx(whole, rel=0.05)

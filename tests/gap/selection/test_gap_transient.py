@@ -14,7 +14,7 @@ import pytest
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.hypothesis import Fit, Term
 from mavcompass.gap.replay.noise import white
-from mavcompass.gap.replay.nuisance import AGE, Nuisance
+from mavcompass.gap.replay.nuisance import AGE, Prior
 from mavcompass.gap.selection import identification
 from mavcompass.gap.selection import split as transient
 from mavcompass.gap.selection.split import Split, probe, split_blocks, with_windows
@@ -106,7 +106,7 @@ def switching(
     effect = registry.get("relay_field")
     low, high = (np.array([getattr(p, side) for p in effect.parameters]) for side in ("low", "high"))
     theta = np.array([30.0, 0.0, 0.0, 0.0, 0.5])
-    age = Nuisance.of(AGE, np.array([late_s]), np.ones(1))
+    age = Prior.of(AGE, np.array([late_s]), np.ones(1))
     terms, thetas = [Term(effect, np.ones(low.size, dtype=np.bool_), low, high)], [theta]
     if smoothed_s:
         one = np.ones(1)
