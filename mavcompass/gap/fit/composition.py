@@ -94,11 +94,9 @@ class Derivatives:
         """Differentiate about the `states` before the first member of a composition and after each."""
         self._replay, self._order, self._thetas, self._states = replay, order, thetas, states
         self._late = late_members(order)
-        groups: tuple[Group, ...] = ("mag", *(g for g in replay.groups if g != "mag"))
-        self._after, self._behind = (
-            _After(order[some], thetas, states[some.start : some.stop + 1], groups)
-            for some in (slice(0, self._late.start), slice(self._late.stop, len(order)))
-        )
+        self._groups: tuple[Group, ...] = ("mag", *(g for g in replay.groups if g != "mag"))
+        # Where every reading is changed by itself, the rest is a matrix, of each row or of all.
+        self._matrices: dict[int, FloatArray] = {}
         self._parts: list[Changes] = []
         # Of each column the state that it is a change of.
         self._then: list[int] = []
@@ -113,28 +111,29 @@ class Derivatives:
             return
         if effect.id == REFERENCE_YAW:
             self._turns = len(self._then), _turns(self._replay.reference, float(theta[0]))
-            part = self._after.turned(then)
+            part = self._turned(then)
         elif len(late) > 1:
             step, then = _STEP * float(effect.parameters[0].scale), late.stop
             later = [*self._thetas[:place], theta + step, *self._thetas[place + 1 :]]
             moved = made_late(self._states[late.start], [self._order[i] for i in late], later)
-            part = self._after.between([moved.reading], self._states[then].reading, [step])
+            part = self._between([moved.reading], self._states[then].reading, [step])
         else:
-            part = self._by_parameters(effect, theta, free, at, then)
-        self._add(part, then)
+            part = self._by_parameters(effect, theta, free, at)
+        self._parts.append(part)
+        self._then += [then] * part["mag"].shape[2]
 
     def changes(self) -> Changes:
         """Return all columns in the order in which they were added; nothing where there are none."""
         if not self._parts:
             return {}
-        changes = {g: np.concatenate([part[g] for part in self._parts], axis=2) for g in self._after.groups}
+        changes = {g: np.concatenate([part[g] for part in self._parts], axis=2) for g in self._groups}
         late, then, mag = self._late, np.array(self._then), changes["mag"]
         if (early := then <= late.start).any() and late:
             by_s = lateness([self._order[i] for i in late], self._thetas)
             mag[:, :, early] = make_changes_late(mag[:, :, early], self._replay.time_s, by_s)
         if late.stop < len(self._order):
             behind = then <= late.stop
-            mag[:, :, behind] = self._behind.through(0, mag[:, :, behind])
+            mag[:, :, behind] = self._through(late.stop, mag[:, :, behind])
         return self._with_curves(changes)
 
     def _with_curves(self, changes: Changes) -> Changes:
@@ -148,11 +147,8 @@ class Derivatives:
         split = {g: np.split(values, (first, first + 3), axis=2) for g, values in changes.items()}
         return {g: np.concatenate([x, axes @ turns, y], axis=2) for g, (x, axes, y) in split.items()}
 
-    def _by_parameters(
-        self, effect: Effect, theta: FloatArray, free: NDArray[np.int64], at: int, then: int
-    ) -> Changes:
-        """Return the changes by the free parameters of an effect that acts on state `at` and makes state
-        `then`."""
+    def _by_parameters(self, effect: Effect, theta: FloatArray, free: NDArray[np.int64], at: int) -> Changes:
+        """Return the changes by the free parameters of an effect that acts on state `at`."""
         moved, steps = [], []
         for j in free:
             beside = theta.copy()
@@ -162,90 +158,53 @@ class Derivatives:
             beside[j] += step
             moved.append(effect.forward(self._states[at], beside, {}, None))
             steps.append(step)
-        if then <= self._late.start:
-            return self._after.changes(then, moved, steps)
-        if at >= self._late.stop:
-            return self._behind.changes(then - self._late.stop, moved, steps)
-        return self._after.between([one.reading for one in moved], self._states[then].reading, steps)
+        if at in self._late:
+            return self._between([one.reading for one in moved], self._states[at + 1].reading, steps)
+        return self._carried(at + 1, moved, steps)
 
-    def _add(self, part: Changes, then: int) -> None:
-        self._parts.append(part)
-        self._then += [then] * part["mag"].shape[2]
+    def _turned(self, at: int) -> Changes:
+        """Return the compass's changes by the attitude before member `at`, per turn about each world axis."""
+        count = self._replay.time_s.size
+        axes = (np.broadcast_to(axis, (count, 3)) for axis in _NUDGE_RAD * np.eye(3))
+        by_axis = self._carried(at, [turned(self._states[at], axis) for axis in axes], [_NUDGE_RAD] * 3)
+        return {g: values if g == "mag" else np.zeros_like(values) for g, values in by_axis.items()}
 
-
-def _nudged(signals: Signals) -> list[Signals]:
-    """Turn an attitude a little about each of the world's axes."""
-    return [
-        turned(signals, np.broadcast_to(axis, (signals.stimulus.time_s.size, 3)))
-        for axis in _NUDGE_RAD * np.eye(3)
-    ]
-
-
-def _turns(reference: Reference, yaw_rad: float) -> FloatArray:
-    """Return the turns in world axes, (N, 3, 1 + k), by a constant of the yaw and by curves.
-
-    The curves' frame is turned by that yaw.
-    """
-    curves = reference.curves_rad
-    beside = np.broadcast_to(reference.with_yaw, (len(curves), 3))[:, :, None]
-    turns = euler_to_matrix(0.0, 0.0, yaw_rad) @ np.concatenate([beside, curves], axis=2)
-    turns[:, 2, 0] += 1.0
-    return turns
-
-
-class _After:
-    """Carry changes through the members of a composition that come after them, for some sensors."""
-
-    def __init__(
-        self, order: Order, thetas: Sequence[FloatArray], states: Sequence[Signals], groups: tuple[Group, ...]
-    ) -> None:
-        self._order, self._thetas, self._states = order, thetas, states
-        self.groups = groups
-        # Where every reading is changed by itself, the rest is a matrix, of each row or of all.
-        self._matrices: dict[int, FloatArray] = {}
-
-    def by_itself(self, at: int) -> bool:
-        """Tell whether the members from `at` on change every reading of the compass by itself."""
-        return all(effect.stage in EACH_BY_ITSELF for effect, _ in self._order[at:])
-
-    def between(self, after: Sequence[Reading], before: Reading, steps: Sequence[float]) -> Changes:
+    def _between(self, after: Sequence[Reading], before: Reading, steps: Sequence[float]) -> Changes:
         """Return how readings differ from one, over their steps."""
         return {
             g: (np.stack([group_values(a, g) for a in after], axis=2) - group_values(before, g)[:, :, None])
             / np.asarray(steps)
-            for g in self.groups
+            for g in self._groups
         }
 
-    def changes(self, at: int, moved: Sequence[Signals], steps: Sequence[float]) -> Changes:
-        """Return the changes of the prediction when the signals before member `at` are moved by steps."""
-        before, rest = self._states[at], self._order[at:]
+    def _end(self, at: int) -> int:
+        """Return the member up to which changes before member `at` are carried: the first that is late."""
+        return self._late.start if at <= self._late.start else len(self._order)
+
+    def _carried(self, at: int, moved: Sequence[Signals], steps: Sequence[float]) -> Changes:
+        """Return the changes that come of it when the signals before member `at` are moved by steps."""
+        before, rest = self._states[at], self._order[at : self._end(at)]
         # What comes after asks the world for its attitude at most, and the compass for the rest.
         same = all(one.stimulus.rotation is before.stimulus.rotation for one in moved)
-        if same and self.by_itself(at):
-            own = self.between([one.reading for one in moved], before.reading, steps)
-            return own | {"mag": self.through(at, own["mag"])}
+        if same and all(effect.stage in EACH_BY_ITSELF for effect, _ in rest):
+            own = self._between([one.reading for one in moved], before.reading, steps)
+            return own | {"mag": self._through(at, own["mag"])}
         ends = []
         for one in moved:
             for effect, place in rest:
                 one = effect.forward(one, self._thetas[place], {}, None)
             ends.append(one.reading)
-        return self.between(ends, self._states[-1].reading, steps)
+        return self._between(ends, self._states[self._end(at)].reading, steps)
 
-    def through(self, at: int, mag_mgauss: FloatArray) -> FloatArray:
+    def _through(self, at: int, mag_mgauss: FloatArray) -> FloatArray:
         """Return what members from `at` on make of changes of the compass (N, 3, k)."""
-        return mag_mgauss if at == len(self._order) else np.asarray(self._matrix(at) @ mag_mgauss)
-
-    def turned(self, at: int) -> Changes:
-        """Return the compass's changes by the attitude before member `at`, per turn about each world axis."""
-        by_axis = self.changes(at, _nudged(self._states[at]), [_NUDGE_RAD] * 3)
-        return {g: values if g == "mag" else np.zeros_like(values) for g, values in by_axis.items()}
+        return mag_mgauss if at == self._end(at) else np.asarray(self._matrix(at) @ mag_mgauss)
 
     def _matrix(self, at: int) -> FloatArray:
-        """Return the derivative of the prediction by the compass's reading before member `at`, (3, 3) or
+        """Return the derivative of what is carried by the compass's reading before member `at`, (3, 3) or
         (N, 3, 3)."""
         if at not in self._matrices:
-            own = self._own_matrix(at)
-            last = at + 1 == len(self._order)
+            own, last = self._own_matrix(at), at + 1 == self._end(at)
             self._matrices[at] = own if last else self._matrix(at + 1) @ own
         return self._matrices[at]
 
@@ -261,6 +220,18 @@ class _After:
         ]
         own = (np.stack(ends[:3], axis=2) - ends[3][:, :, None]) / _NUDGE_MGAUSS
         return own[0] if effect.affine else own
+
+
+def _turns(reference: Reference, yaw_rad: float) -> FloatArray:
+    """Return the turns in world axes, (N, 3, 1 + k), by a constant of the yaw and by curves.
+
+    The curves' frame is turned by that yaw.
+    """
+    curves = reference.curves_rad
+    beside = np.broadcast_to(reference.with_yaw, (len(curves), 3))[:, :, None]
+    turns = euler_to_matrix(0.0, 0.0, yaw_rad) @ np.concatenate([beside, curves], axis=2)
+    turns[:, 2, 0] += 1.0
+    return turns
 
 
 class Composition:
