@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import replace
 from string import Template
 from xml.sax.saxutils import escape
 
@@ -25,8 +25,7 @@ import numpy as np
 from mavcompass.frames import FloatArray
 from mavcompass.gap.export.vehicle import Exported, Found, affine_map, commented
 from mavcompass.gap.tables import usual
-from mavcompass.simulation.effects import Setting, spell
-from mavcompass.simulation.effects.effect import NEVER_S
+from mavcompass.simulation.effects import spell
 from mavcompass.simulation.effects.registry import PRESET_SCHEMA
 
 _PX4 = "PX4's simulated magnetometer"
@@ -95,22 +94,14 @@ def gazebo(found: Found) -> Exported:
 SIMULATOR = "ArduPilot's simulator"
 _AXES = "XYZ"
 # Outputs by function: motors 1 to 8 are 33 to 40.
-_FIRST_MOTOR = 33
+_BEFORE_THE_FIRST_MOTOR = 32
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class InArduPilot:
-    """Hold what the simulator makes of a vehicle: raw = P field + b by its parameters, and what it lacks."""
+def in_ardupilot(found: Found, written: Collection[str] = ()) -> tuple[Exported, FloatArray, FloatArray]:
+    """Compose all affine effects for the simulator, beside whose parameters others may be `written`.
 
-    stretch: FloatArray
-    offset_mgauss: FloatArray
-    parameters: dict[str, float]
-    lacking: tuple[str, ...]
-    left_out: tuple[str, ...]
-
-
-def in_ardupilot(found: Found, written: Collection[str] = ()) -> InArduPilot:
-    """Compose all affine effects for the simulator, beside whose parameters others may be `written`."""
+    Returns the export, without a text yet, and P (3, 3) and b (3,): its parameters make raw = P field + b.
+    """
     affine = [s for s in found.settings if s.effect.affine]
     matrix, offset = affine_map(affine)
     u, sizes, vt = np.linalg.svd(matrix)
@@ -130,16 +121,15 @@ def in_ardupilot(found: Found, written: Collection[str] = ()) -> InArduPilot:
         turned = f"A rotation of the compass by {math.degrees(turn_rad):.2f} degrees"
         lacking.insert(0, f"{turned}: the simulator turns its compass only in steps (SIM_MAG1_ORIENT).")
         gone.insert(0, "misalignment")
-    return InArduPilot(stretch, offset, parameters, tuple(lacking), tuple(gone))
+    return Exported("", "", parameters, tuple(lacking), tuple(gone)), stretch, offset
 
 
 def ardupilot_sitl(found: Found) -> Exported:
     """Write a parameter file that ArduPilot's simulator and ground stations load."""
-    held = in_ardupilot(found)
+    held, _, _ = in_ardupilot(found)
     lines = commented("#", found.headed(SIMULATOR)) + commented("# not in the simulator:", held.lacking)
     lines += [f"{name},{value:.6g}" for name, value in held.parameters.items()]
-    use = "sim_vehicle.py --add-param-file=FILE"
-    return Exported("\n".join(lines) + "\n", use, held.parameters, held.lacking, held.left_out)
+    return replace(held, text="\n".join(lines) + "\n", use="sim_vehicle.py --add-param-file=FILE")
 
 
 _FRAME = Template("""\
@@ -153,7 +143,14 @@ local OFFSET = { $offset }
 
 for name, value in pairs(PARAMETERS) do param:set(name, value) end
 
-local function since_boot_s() return millis():tofloat() / 1000.0 end
+local function during(on_s, off_s)
+  local since_boot_s = millis():tofloat() / 1000.0
+  return since_boot_s >= on_s and since_boot_s < off_s
+end
+
+local function motor(number)
+  return ((SRV_Channels:get_output_pwm($before_the_first_motor + number) or 1000) - 1000) / 1000
+end
 
 local function add(b, x, y, z)
   b[1], b[2], b[3] = b[1] + x, b[2] + y, b[3] + z
@@ -167,6 +164,12 @@ local function add_world(b, north, east, down)
   for i = 1, 3 do
     b[i] = b[i] + MATRIX[i][1] * f:x() + MATRIX[i][2] * f:y() + MATRIX[i][3] * f:z()
   end
+end
+
+-- What a place adds: a function of how far north, east and down of a point the vehicle is.
+local function add_place(b, north, east, down, field)
+  local p = ahrs:get_relative_position_NED_origin()
+  if p then add_world(b, field(p:x() - north, p:y() - east, p:z() - down)) end
 end
 
 local EFFECTS = {
@@ -186,101 +189,21 @@ return update()
 """)
 
 
-def _listed(values: Mapping[str, float], names: str) -> str:
-    return ", ".join(f"{values[name]:.6g}" for name in names)
-
-
-def _during(values: Mapping[str, float], on: str, off: str) -> str:
-    said = []
-    if values[on] > -NEVER_S:
-        said.append(f"since_boot_s() >= {values[on]:.3f}")
-    if values[off] < NEVER_S:
-        said.append(f"since_boot_s() < {values[off]:.3f}")
-    return " and ".join(said) or "true"
-
-
-def _step(v: Mapping[str, float]) -> str:
-    return f"if {_during(v, 'on_s', 'off_s')} then add(b, {_listed(v, 'xyz')}) end"
-
-
-def _temperature(v: Mapping[str, float]) -> str:
-    above = f"local above = baro:get_temperature() - {v['reference_degc']:.3f}"
-    return f"{above}\n    add(b, {', '.join(f'above * {v[a]:.6g}' for a in 'xyz')})"
-
-
-def _motor(number: int) -> str:
-    return f"((SRV_Channels:get_output_pwm({_FIRST_MOTOR + number}) or 1000) - 1000) / 1000"
-
-
-def _per_motor(v: Mapping[str, float]) -> str:
-    lines = []
-    for m in range(8):
-        field = [v.get(f"motor{m + 1}_{a}", 0.0) for a in "xyz"]
-        if any(field):
-            terms = ", ".join(f"m * {one:.6g}" for one in field)
-            lines.append(f"do local m = {_motor(m)}; add(b, {terms}) end")
-    return "\n    ".join(lines)
-
-
-def _relay(v: Mapping[str, float]) -> str | None:
-    source = round(v["source"])
-    if source == 0:
-        return None
-    load = "(battery:current_amps(0) or 0)" if source == 1 else _motor(source - 2)
-    return f"if {load} > {v['threshold']:.6g} then add(b, {_listed(v, 'xyz')}) end"
-
-
-def _dipole(v: Mapping[str, float]) -> str:
-    return f"""local p = ahrs:get_relative_position_NED_origin()
-    if p and {_during(v, "on_s", "off_s")} then
-      local x, y, z = p:x() - {v["north_m"]:.4f}, p:y() - {v["east_m"]:.4f}, p:z() - {v["down_m"]:.4f}
-      local r = math.sqrt(math.max(x * x + y * y + z * z, 0.0025))
-      x, y, z = x / r, y / r, z / r
-      local mn, me, md = {v["moment_north"]:.6g}, {v["moment_east"]:.6g}, {v["moment_down"]:.6g}
-      local along, cube = 3 * (x * mn + y * me + z * md), r * r * r
-      add_world(b, (x * along - mn) / cube, (y * along - me) / cube, (z * along - md) / cube)
-    end"""
-
-
-def _gradient(v: Mapping[str, float]) -> str:
-    nn, ee, ne, nd, ed = (v[name] for name in ("nn", "ee", "ne", "nd", "ed"))
-    rows = ((nn, ne, nd), (ne, ee, ed), (nd, ed, -nn - ee))
-    terms = [f"p:x() * {a:.6g} + p:y() * {b:.6g} + p:z() * {c:.6g}" for a, b, c in rows]
-    return (
-        "local p = ahrs:get_relative_position_NED_origin()\n    if p then\n      add_world(b, "
-        + ",\n        ".join(terms)
-        + ")\n    end"
-    )
-
-
-_WRITERS: Mapping[str, Callable[[Mapping[str, float]], str | None]] = {
-    "hard_iron_step": _step,
-    "temperature_bias": _temperature,
-    "per_motor": _per_motor,
-    "relay_field": _relay,
-    "spatial_dipole": _dipole,
-    "field_gradient": _gradient,
-}
-
-
-def _written(setting: Setting) -> str | None:
-    writer = _WRITERS.get(setting.effect.id)
-    return None if writer is None else writer(setting.values)
-
-
 def ardupilot_lua(found: Found) -> Exported:
     """Write a Lua script for the simulator's scripts folder."""
-    texts = {s.effect.id: text for s in found.settings if (text := _written(s)) is not None}
+    said = ((s.effect, s.values) for s in found.settings)
+    texts = {e.id: text for e, values in said if e.lua is not None and (text := e.lua(values))}
     effects = [f"  function(b) -- {effect}\n    {text}\n  end," for effect, text in texts.items()]
-    held = in_ardupilot(found, texts)
+    held, stretch, offset = in_ardupilot(found, texts)
     head = [*found.headed(SIMULATOR), "Put it into scripts/, with SCR_ENABLE 1 in the parameters."]
     head += [f"Not in the simulator: {s}" for s in held.lacking]
     text = _FRAME.substitute(
         head="\n".join(commented("--", head)),
         parameters="\n".join(f"  {n} = {v:.6g}," for n, v in held.parameters.items() if "_OFS_" not in n),
-        matrix=", ".join("{ " + ", ".join(f"{x:.6g}" for x in row) + " }" for row in held.stretch.tolist()),
-        offset=", ".join(f"{x:.6g}" for x in held.offset_mgauss.tolist()),
+        matrix=", ".join("{ " + ", ".join(f"{x:.6g}" for x in row) + " }" for row in stretch.tolist()),
+        offset=", ".join(f"{x:.6g}" for x in offset.tolist()),
         effects="\n".join(effects),
+        before_the_first_motor=_BEFORE_THE_FIRST_MOTOR,
     )
     use = "cp FILE scripts/ beside the simulator, and start it with SCR_ENABLE 1"
-    return Exported(text, use, held.parameters, held.lacking, held.left_out)
+    return replace(held, text=text, use=use)

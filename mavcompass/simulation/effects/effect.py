@@ -125,6 +125,7 @@ Starts = Callable[[Misfit], list[FloatArray]]
 Freedom = Callable[[Signals], NDArray[np.bool_]]
 Limits = Callable[[Signals], tuple[FloatArray, FloatArray]]
 Export = Callable[[Mapping[str, float]], dict[str, float]]
+Script = Callable[[Mapping[str, float]], str | None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,6 +150,8 @@ class Effect:
         free: which parameters a recording can tell at all (default: all).
         affine: True for a linear map plus offset of the field in body axes.
         sitl: the parameters of ArduPilot's simulator for a fitted setting.
+        lua: what a script of ArduPilot's adds to the field b for one, in the functions that `gap/export`
+            gives to scripts; None where it cannot.
         limits: how far a recording lets the parameters go (lower, upper), where that is less than the
             physical range.
         detector: what shows it by itself, beside or instead of a search over sets.
@@ -171,6 +174,7 @@ class Effect:
     free: Freedom | None = None
     affine: bool = False
     sitl: Export | None = None
+    lua: Script | None = None
     limits: Limits | None = None
     enough: tuple[Group, ...] = ()
     detector: Detector | None = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,6 +128,24 @@ def _relay_starts(misfit: Misfit) -> list[FloatArray]:
     return [start for _, start in found[:2]]
 
 
+def _motors_script(values: Mapping[str, float]) -> str:
+    fields = {m + 1: [values[f"motor{m + 1}_{a}"] for a in "xyz"] for m in range(_MOTORS)}
+    each = (
+        f"do local m = motor({number}); add(b, {', '.join(f'm * {one:.6g}' for one in field)}) end"
+        for number, field in fields.items()
+        if any(field)
+    )
+    return "\n    ".join(each)
+
+
+def _relay_script(values: Mapping[str, float]) -> str | None:
+    source = round(values["source"])
+    load = "(battery:current_amps(0) or 0)" if source == 1 else f"motor({source - 1})"
+    text = f"if {load} > {{threshold:.6g}} then add(b, {{x:.6g}}, {{y:.6g}}, {{z:.6g}}) end"
+    # A script is not told the throttle.
+    return text.format_map(values) if source else None
+
+
 EFFECTS = (
     Effect(
         id="motor_current",
@@ -155,6 +174,7 @@ EFFECTS = (
         separated_by="run the motors one by one",
         source="raw = field + sum of c_i |u_i|, u the motor output; ArduPilot's per-motor compensation",
         free=_varying_motors,
+        lua=_motors_script,
     ),
     Effect(
         id="ac_interference",
@@ -187,5 +207,6 @@ EFFECTS = (
         separated_by="log the switch's output",
         source="raw = field + b while the load is above a threshold, 2 to 50 mG",
         starts=_relay_starts,
+        lua=_relay_script,
     ),
 )

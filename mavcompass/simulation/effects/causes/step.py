@@ -117,5 +117,6 @@ EFFECTS = (
         separated_by="repeat the action, and log the moment",
         source="raw = field + b for on <= t < off; a magnet of 3 cm distance makes 130 mG",
         starts=_starts,
+        lua="if during({on_s:.3f}, {off_s:.3f}) then add(b, {x:.6g}, {y:.6g}, {z:.6g}) end".format_map,
     ),
 )

@@ -85,6 +85,10 @@ EFFECTS = (
         source="raw = field + k (T - T0), 0.1 to 2 mG/degC",
         starts=lambda misfit: _starts(misfit, np.ones_like(misfit.residual.mag_mgauss), 10.0),
         limits=_limits,
+        lua=(
+            "local above = baro:get_temperature() - {reference_degc:.3f}\n"
+            "    add(b, above * {x:.6g}, above * {y:.6g}, above * {z:.6g})"
+        ).format_map,
     ),
     Effect(
         id="temperature_sensitivity",

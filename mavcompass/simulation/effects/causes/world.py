@@ -252,6 +252,19 @@ def _dipoles(
     return np.concatenate(gains), np.concatenate(moments)
 
 
+_GRADIENT_SCRIPT = """add_place(b, 0, 0, 0, function(x, y, z)
+      return {nn:.6g} * x + {ne:.6g} * y + {nd:.6g} * z, {ne:.6g} * x + {ee:.6g} * y + {ed:.6g} * z,
+        {nd:.6g} * x + {ed:.6g} * y - ({nn:.6g} + {ee:.6g}) * z
+    end)"""
+_DIPOLE_SCRIPT = """if during({on_s:.3f}, {off_s:.3f}) then
+      add_place(b, {north_m:.4f}, {east_m:.4f}, {down_m:.4f}, function(x, y, z)
+        local r = math.sqrt(math.max(x * x + y * y + z * z, 0.0025))
+        local mn, me, md = {moment_north:.6g}, {moment_east:.6g}, {moment_down:.6g}
+        local along, cube = 3 * (x * mn + y * me + z * md) / (r * r), r * r * r
+        return (x * along - mn) / cube, (y * along - me) / cube, (z * along - md) / cube
+      end)
+    end"""
+
 EFFECTS = (
     Effect(
         id="field_intensity",
@@ -296,6 +309,7 @@ EFFECTS = (
         aliases=("height_anomaly", "spatial_dipole"),
         separated_by="a larger area",
         source="B + G (p - p_0), G symmetric without trace (no curl, no divergence), 5 to 50 mG/m indoors",
+        lua=_GRADIENT_SCRIPT.format_map,
     ),
     Effect(
         id="height_anomaly",
@@ -332,5 +346,6 @@ EFFECTS = (
         separated_by="pass the place again on another heading",
         source="(3 u (u . m) - m) / r^3",
         starts=_dipole_starts,
+        lua=_DIPOLE_SCRIPT.format_map,
     ),
 )
