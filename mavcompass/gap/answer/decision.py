@@ -13,34 +13,24 @@ from mavcompass.gap.tables import Outcome, tables
 Sets = tuple[tuple[frozenset[str], float], ...]
 
 
-@dataclass(frozen=True, slots=True)
-class Findings:
-    """Hold what the verdict is made of.
+def verdict(
+    outcomes: Mapping[Outcome, float], sure: float, *, silent: bool, left: bool, shared: bool, testable: bool
+) -> Verdict:
+    """Decide what is said: equation (3) of docs/gap.md.
 
-    Attributes:
-        silent: no single readings show anything, and no set what healthy vehicles do not.
-        left: what is left lies above the floor, or is what healthy vehicles seldom leave.
-        outcomes: what the best set may be; shared: something else than the catalogue's effect makes the same.
-        testable: silence would tell something.
+    `outcomes` are what the best set may be, `sure` the probability that names it. `silent`: no single
+    readings show anything, and no set what healthy vehicles do not; `testable`: silence would tell something.
+    `left`: what is left lies above the floor, or is what healthy vehicles seldom leave. `shared`: something
+    else than the catalogue's effect makes the same.
     """
-
-    silent: bool
-    left: bool
-    outcomes: Mapping[Outcome, float]
-    shared: bool
-    testable: bool
-
-
-def verdict(of: Findings, sure: float) -> Verdict:
-    """Decide what is said: equation (3) of docs/gap.md; `sure` is the probability that names a set."""
-    if of.silent:
-        return "unknown" if of.left else "no_gap" if of.testable else "not_testable"
-    whole, part, other, unknown = (of.outcomes[one] for one in ("whole", "part", "other", "unknown"))
+    if silent:
+        return "unknown" if left else "no_gap" if testable else "not_testable"
+    whole, part, other, unknown = (outcomes[one] for one in ("whole", "part", "other", "unknown"))
     if unknown > max(whole + part, other):
         return "unknown"
-    if whole >= sure and not (of.left or of.shared):
+    if whole >= sure and not (left or shared):
         return "named"
-    if of.left or part > max(whole, other):
+    if left or part > max(whole, other):
         return "named_with_remainder" if whole + part > other + unknown else "unknown"
     return "ambiguous"
 
@@ -93,14 +83,12 @@ def decide(evidence: Evidence) -> Answer:
     lifted = known.kind != "exact" and any(above(c, c.after) for c in (field, heading))
     seldom = table.healthy.p_of_fit(known.kind, known.values) <= levels.fit
     said = verdict(
-        Findings(
-            silent=silent,
-            left=shown or wander_deg > 0.0 or lifted or seldom,
-            outcomes=outcomes,
-            shared=bool(fit.ids & evidence.half_testable),
-            testable=turns and (floor.measured or heading.floor < levels.coarsest_deg),
-        ),
+        outcomes,
         levels.sure,
+        silent=silent,
+        left=shown or wander_deg > 0.0 or lifted or seldom,
+        shared=bool(fit.ids & evidence.half_testable),
+        testable=turns and (floor.measured or heading.floor < levels.coarsest_deg),
     )
     known_sets = ((fit.ids, outcomes["whole"] + outcomes["part"]), *posterior.weights(outcomes["other"]))
     where = evidence.adequacy.where if said in ("unknown", "named_with_remainder") else None

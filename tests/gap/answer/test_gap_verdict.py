@@ -2,34 +2,29 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from functools import partial
 
 import pytest
 
-from mavcompass.gap.answer.decision import Findings, verdict
+from mavcompass.gap.answer.decision import verdict
 from mavcompass.gap.result import Verdict
 from mavcompass.gap.tables import Outcome
 
-SURE = 0.9
 NOTHING: dict[Outcome, float] = {"whole": 0.25, "part": 0.25, "other": 0.25, "unknown": 0.25}
-SILENT = Findings(silent=True, left=False, outcomes=NOTHING, shared=False, testable=True)
+found = partial(verdict, sure=0.9, silent=False, left=False, shared=False, testable=True)
+silent = partial(found, NOTHING, silent=True)
 
 
 def likely(whole: float = 0.0, part: float = 0.0, other: float = 0.0) -> dict[Outcome, float]:
     return {"whole": whole, "part": part, "other": other, "unknown": 1.0 - whole - part - other}
 
 
-def found(outcomes: dict[Outcome, float]) -> Findings:
-    return replace(SILENT, silent=False, outcomes=outcomes)
-
-
 def test_where_nothing_is_found_silence_needs_what_healthy_vehicles_leave() -> None:
-    assert verdict(SILENT, SURE) == "no_gap"
-    assert verdict(replace(SILENT, left=True), SURE) == "unknown"
-    still = replace(SILENT, testable=False)
-    assert verdict(still, SURE) == "not_testable"
-    assert verdict(replace(still, left=True), SURE) == "unknown", "what varies is a gap all the same"
-    assert verdict(found(likely(whole=0.95)), SURE) == "named"
+    assert silent() == "no_gap"
+    assert silent(left=True) == "unknown"
+    assert silent(testable=False) == "not_testable"
+    assert silent(testable=False, left=True) == "unknown", "what varies is a gap all the same"
+    assert found(likely(whole=0.95)) == "named"
 
 
 @pytest.mark.parametrize(
@@ -45,11 +40,11 @@ def test_where_nothing_is_found_silence_needs_what_healthy_vehicles_leave() -> N
     ],
 )
 def test_the_likeliest_of_four_outcomes_is_said(outcomes: dict[Outcome, float], said: Verdict) -> None:
-    assert verdict(found(outcomes), SURE) == said
+    assert found(outcomes) == said
 
 
 def test_what_the_catalogue_is_not_alone_to_make_is_not_sure() -> None:
-    assert verdict(replace(found(likely(whole=0.99)), shared=True), SURE) == "ambiguous"
+    assert found(likely(whole=0.99), shared=True) == "ambiguous"
 
 
 @pytest.mark.parametrize(
@@ -61,4 +56,4 @@ def test_what_the_catalogue_is_not_alone_to_make_is_not_sure() -> None:
     ],
 )
 def test_what_healthy_vehicles_do_not_leave_is_left(outcomes: dict[Outcome, float], said: Verdict) -> None:
-    assert verdict(replace(found(outcomes), left=True), SURE) == said
+    assert found(outcomes, left=True) == said
