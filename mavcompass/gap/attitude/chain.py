@@ -78,11 +78,6 @@ class Solved:
     _reduced: Reduced
     _bent: FloatArray
 
-    def covariance(self, which: NDArray[np.int64], count: int) -> FloatArray:
-        """Return the joint covariance of the first elements of some states (M,), (M count, M count)."""
-        sums = np.eye(which.size * count).reshape(which.size, count, -1)
-        return self.covariance_with(which, sums)[which, :count].reshape(which.size * count, -1)
-
     def covariance_with(self, which: NDArray[np.int64], sums: FloatArray) -> FloatArray:
         """Return the covariance of all states with sums of the first elements of some, (K, n, k).
 

@@ -45,12 +45,9 @@ class Smoothed:
     _solved: Solved
     _excess: float
 
-    def covariance(self) -> FloatArray:
-        """Return that of the rotation vectors in world axes at some knots, (3 M, 3 M)."""
-        return self._excess * self._solved.covariance(self.some, PHI.stop)
-
     def covariance_with(self, sums: FloatArray) -> FloatArray:
-        """Return that of the rotation vectors at all knots with sums of those at some, (K, 3, k).
+        """Return the covariance of the rotation vectors in world axes at all knots with sums of those at
+        some, (K, 3, k).
 
         The sums have weights (3 M, k).
         """
@@ -106,7 +103,8 @@ def _smoothed(smoother: Smoother, start: FloatArray) -> Smoothed:
     constants, change = solved.constants, solved.states[:, BIAS].mean(axis=0)
     rate = smoother.rate - smoother.between(solved.states[:, BIAS]) - smoother.rate * constants[SCALE]
     middle = np.array([smoother.knots.size // 2])
-    sigma = np.sqrt(np.diag(solved.covariance(middle, BIAS.stop))[BIAS])
+    variance = solved.covariance_with(middle, np.eye(BIAS.stop)[None])[middle[0], BIAS, BIAS]
+    sigma = np.sqrt(np.diag(variance))
     excess = smoother.excess(solved)
     # The constants are a share of what the gyro says, its scale is one of how it turned.
     turned, sigmas = 1.0 - constants[SCALE], np.sqrt(excess * np.diag(solved.constants_covariance))
@@ -149,7 +147,8 @@ def doubt_of(smoothed: Smoothed, time_s: FloatArray, told: bool, healthy: bool) 
     (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, equation A.6): a level that is
     off by what turns with the vehicle goes round in world axes, which straight lines would not see.
     """
-    covariance, some = smoothed.covariance(), smoothed.knots_s[smoothed.some]
+    some = smoothed.knots_s[smoothed.some]
+    covariance = smoothed.covariance_with(np.eye(3 * some.size))[smoothed.some].reshape(3 * some.size, -1)
     # Knots stand closer where readings were lost: each counts by the time about it.
     share = np.gradient(some) / float(some[-1] - some[0])
     share /= share.sum()

@@ -22,7 +22,7 @@ from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.replay.noise import group_values
 from mavcompass.gap.replay.nuisance import REFERENCE_YAW, WORLD_FIELD, yaw_starts
 from mavcompass.gap.tables import Kind, tables, usual
-from mavcompass.simulation.effects.effect import GROUPS, Effect, Misfit, Signals
+from mavcompass.simulation.effects.effect import GROUPS, Misfit, Signals
 from mavcompass.simulation.physics.signals import Reading
 
 
@@ -62,10 +62,6 @@ def misfit_of(problem: Problem, signals: Signals) -> Misfit:
     rows = np.zeros(problem.rows.size, dtype=np.bool_)
     rows[problem.index] = True
     return Misfit(signals, residual, rows, problem.sigma_mgauss, len(yaw_starts(problem.prior)) > 1)
-
-
-def _elsewhere(effect: Effect, guess: FloatArray, known: FloatArray) -> bool:
-    return effect.stage_at(guess) is not effect.stage_at(known)
 
 
 class Candidates:
@@ -130,8 +126,9 @@ class Candidates:
             misfit = misfit_of(problem, before[-1])
             guesses = term.effect.starts(misfit)
         iron = problem.replay.iron.offset_mgauss
+        stage_at = term.effect.stage_at
         for guess in [placed for g in guesses for placed in placements(term.effect, g, iron)]:
-            if misfit is None and known is not None and not _elsewhere(term.effect, guess, known):
+            if misfit is None and known is not None and stage_at(guess) is stage_at(known):
                 continue
             begun = fit.beside(term, guess)
             states = problem.composition.states(begun, before)

@@ -113,10 +113,6 @@ class Problem:
         every = range(len(self.prior.effects) + len(fit.terms))
         return self.columns(fit, self.composition.states(fit), every)
 
-    def nuisance_changes(self, fit: Fit) -> Changes:
-        """Return the derivatives of the prediction by the nuisances' parameters, under a fit."""
-        return self.composition.changes(fit, self.composition.states(fit), range(len(self.prior.effects)))
-
     def whitened(self, changes: Changes) -> FloatArray:
         """Return changes of the prediction as whitened columns, one for each; rows as in `residual`."""
         if not changes:
@@ -197,7 +193,9 @@ class Problem:
         normal = np.zeros((0, 0))
         first, made_at, own, ended = None, z, None, False
         for _ in range(iterations):
-            if first is None or self._away(z, made_at) > usual.newton.near:
+            # By how many natural sizes nuisances have moved at most since their derivatives were made.
+            away = np.max(np.abs(z - made_at)[: self._sizes.size] / self._sizes, initial=0.0)
+            if first is None or away > usual.newton.near:
                 first, made_at = self.columns(at(z), states, range(n)), z
                 squared = first.T @ first
             if own is None:
@@ -241,7 +239,3 @@ class Problem:
     def _known(self, weak: FloatArray) -> FloatArray:
         """Return the precision of nuisances and free parameters before any reading."""
         return block_diagonal([self.prior.precision, np.diag(weak)])
-
-    def _away(self, z: FloatArray, made_at: FloatArray) -> float:
-        """Return by how many natural sizes nuisances moved at most since their derivatives were made."""
-        return float(np.max(np.abs(z - made_at)[: self._sizes.size] / self._sizes, initial=0.0))

@@ -201,7 +201,10 @@ def _scatter(problem: Problem, fit: Fit, compare: bool) -> Iterator[Test]:
         yield Test(f"{group}: correlation", "frequency", chance_of_more(portmanteau, 3 * lags))
         yield from _variance_tests(group, z, signals, problem)
         if compare and math.isfinite(problem.noise[group].samples):
-            yield Test(f"{group}: amount of scatter", "time", _variance_ratio(scale, len(z), problem, group))
+            # Against the floor's, two-sided; the logarithm of the ratio is normal.
+            log_ratio = 2.0 * float(np.log(np.maximum(scale, 1e-9)).sum())
+            sigma = math.sqrt(3.0 * (2.0 / len(z) + 2.0 / problem.noise[group].samples))
+            yield Test(f"{group}: amount of scatter", "time", 2.0 * chance_above(abs(log_ratio) / sigma))
 
 
 def _line(z: FloatArray) -> float:
@@ -254,28 +257,21 @@ def _scatter_coordinates(group: Group, signals: Signals, problem: Problem) -> li
     return [(name, x) for name, x in found if float(x.std()) > 0.0]
 
 
-def _variance_ratio(scale: FloatArray, count: int, problem: Problem, group: Group) -> float:
-    """Return the two-sided p-value of the scatter against the floor's, normal for the log ratio."""
-    log_ratio = 2.0 * float(np.log(np.maximum(scale, 1e-9)).sum())
-    sigma = math.sqrt(3.0 * (2.0 / count + 2.0 / problem.noise[group].samples))
-    return 2.0 * chance_above(abs(log_ratio) / sigma)
-
-
 def doubting(
     replayed: Replay, baseline: Replay | None, effects: Collection[Effect]
 ) -> tuple[Replay, Replay | None]:
     """Let sensors that the simulation cannot explain, here or in the baseline, count for less in both."""
     never = untestable_effects(replayed, effects)
     doubtful = _doubtful(replayed, [e for e in effects if e.id not in never])
-    useless = _useless(doubtful)
     if baseline is not None:
         never = untestable_effects(baseline, effects)
         # What a baseline's motion makes its accelerometer feel is no cause that would come again.
         steady = [e for e in effects if e.groups != ("acc",) or not e.needs - {"reference"}]
-        more = _doubtful(baseline, [e for e in steady if e.id not in never])
-        doubtful, useless = doubtful | more, useless | _useless(more)
-        baseline = _with_doubt(baseline, doubtful, useless)
-    return _with_doubt(replayed, doubtful, useless), baseline
+        there = _doubtful(baseline, [e for e in steady if e.id not in never])
+        useless = _useless(doubtful) | _useless(there)
+        baseline = _with_doubt(baseline, doubtful | there, useless)
+        return _with_doubt(replayed, doubtful | there, useless), baseline
+    return _with_doubt(replayed, doubtful, _useless(doubtful)), None
 
 
 def _doubtful(witness: Replay, effects: Sequence[Effect]) -> dict[Group, SensorNoise]:

@@ -254,8 +254,9 @@ def foreseen(floor: Floor, replay: Replay, train: Mask, test: Mask) -> Floor:
 
 def _unknown(problem: Problem, fit: Fit, test: Mask) -> tuple[float, float]:
     """Return the mean squares of field (mG) and heading (deg) that the nuisances leave unknown."""
-    rows, predicted = np.flatnonzero(test), problem.predict(fit).mag_mgauss
-    changes = problem.nuisance_changes(fit)["mag"]
+    rows, states = np.flatnonzero(test), problem.composition.states(fit)
+    predicted = states[-1].reading.mag_mgauss
+    changes = problem.composition.changes(fit, states, range(len(problem.prior.effects)))["mag"]
     changed = (predicted[:, :, None] + changes).transpose(2, 0, 1)
     heading = [heading_error_rad(problem.replay, one, predicted)[rows] for one in changed]
     field = changes[rows].reshape(3 * rows.size, -1)

@@ -133,19 +133,18 @@ class Run:
     """Hold calibrations of the first N vehicles of a kind; nan where the fit had no solution.
 
     Attributes:
-        errors_deg: rms over the circle, level and tilted, (N, 2).
-        claimed_deg: what the calibration says of the level error, (N,). positions: visited, (N,).
+        judged: rms errors over the circle, level and tilted, what the calibration says of the level one,
+            degrees each, and how many positions were visited, (N, 4).
         refusal: why the last that had none had no solution.
     """
 
-    errors_deg: FloatArray
-    claimed_deg: FloatArray
-    positions: FloatArray
+    judged: FloatArray
     refusal: PoorCalibration | None = None
 
-    def first(self, count: int) -> Run:
-        """Return the first vehicles alone."""
-        return Run(self.errors_deg[:count], self.claimed_deg[:count], self.positions[:count], self.refusal)
+    @property
+    def errors_deg(self) -> FloatArray:
+        """Return the errors, level and tilted, (N, 2)."""
+        return self.judged[:, :2]
 
     @property
     def errors(self) -> Errors:
@@ -183,7 +182,7 @@ def calibrations(
             visited = len(fit.magnetic_headings_rad)
             out[number] = level, tilted, np.degrees(fit.heading_sigma_rad), visited
         done()
-    return Run(out[:, :2], out[:, 2], out[:, 3], refusal)
+    return Run(out, refusal)
 
 
 def _expected(errors_deg: FloatArray) -> Expected:
@@ -221,7 +220,7 @@ def rehearse(
         whole = run(draws)
         if not np.isfinite(whole.errors_deg).any() and whole.refusal is not None:
             raise whole.refusal
-        few, parts, remedies = whole.first(compared), list[Part](), list[Remedy]()
+        few, parts, remedies = Run(whole.judged[:compared]), list[Part](), list[Remedy]()
         for name, sort in sorts.items():
             other = run(compared, without={name})
             level, tilted = other.change_from(few)
@@ -229,6 +228,7 @@ def rehearse(
         for words, protocol in protocols:
             other = run(compared, protocol)
             remedies.append(Remedy(words, other.errors, *other.change_from(few)))
+    _, _, claimed_deg, positions = whole.judged.T
     return Rehearsal(
         source=track.source,
         compass=diagnosis.compass,
@@ -238,9 +238,9 @@ def rehearse(
         remedies=tuple(sorted(remedies, key=lambda remedy: remedy.change)),
         draws=draws,
         compared=compared,
-        refused=int(np.isnan(whole.claimed_deg).sum()),
-        positions=float(np.nanmean(whole.positions)),
-        claimed_deg=float(np.sqrt(np.nanmean(whole.claimed_deg**2))),
+        refused=int(np.isnan(claimed_deg).sum()),
+        positions=float(np.nanmean(positions)),
+        claimed_deg=float(np.sqrt(np.nanmean(claimed_deg**2))),
         stances=len(kind.stances),
         seed=seed,
         seconds=time.perf_counter() - started,

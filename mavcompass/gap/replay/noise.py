@@ -84,17 +84,11 @@ class SensorNoise:
     @property
     def square_inflation(self) -> float:
         """Return by how much the correlation inflates the variance of a mean of squares."""
-        return float(np.mean([self._inflation(channel) for channel in range(3)]))
-
-    def _inflation(self, channel: int) -> float:
-        rho = min(float(self.coefficients[:, channel].sum()), 0.999) if self.coefficients.size else 0.0
-        m = float(self.moving[channel])
-        if m == 0.0:
-            rho = min(rho, 0.97)
-            return (1.0 + rho * rho) / (1.0 - rho * rho)
-        # Autocorrelations of ARMA(1, 1): r_1, r_1 rho, r_1 rho^2 ...
+        m = self.moving
+        rho = np.minimum(self.coefficients.sum(axis=0), np.where(m == 0.0, 0.97, 0.999))
+        # Autocorrelations of ARMA(1, 1): r_1, r_1 rho, r_1 rho^2 ...; r_1 is rho without a moving part.
         first = (rho - m) * (1.0 - rho * m) / (1.0 + m * m - 2.0 * rho * m)
-        return 1.0 + 2.0 * first**2 / (1.0 - rho * rho)
+        return float(np.mean(1.0 + 2.0 * first**2 / (1.0 - rho * rho)))
 
 
 Noise = dict[Group, SensorNoise]

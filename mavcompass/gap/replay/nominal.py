@@ -342,9 +342,7 @@ def half_testable(replayed: Replay, effects: Iterable[Effect]) -> frozenset[str]
     return frozenset(
         e.id
         for e in effects
-        if "tilt" in e.needs
-        and all(any(option in within for option in need.split("|")) for need in e.needs)
-        and all(g in replayed.groups for g in e.groups)
+        if "tilt" in e.needs and not e.lacking(within) and all(g in replayed.groups for g in e.groups)
     )
 
 
@@ -357,9 +355,8 @@ def untestable_effects(
     """
     out: dict[str, str] = {}
     for effect in effects:
-        for need in sorted(effect.needs):
-            if not any(option in replayed.present for option in need.split("|")):
-                out[effect.id] = _NEED_WORDS[need]
+        for need in effect.lacking(replayed.present):
+            out[effect.id] = _NEED_WORDS[need]
         seen = all(g in replayed.groups for g in effect.groups) or any(
             g in replayed.groups for g in effect.enough
         )

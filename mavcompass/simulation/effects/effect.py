@@ -7,7 +7,7 @@ it; effects of the sensor change what it says. They are composed in the order of
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from types import MappingProxyType
@@ -190,6 +190,10 @@ class Effect:
     def moves(self) -> bool:
         """Tell whether it comes or goes at a moment, or as something is switched: not only perhaps."""
         return self.switched or any(p.name in MOMENTS and not p.optional for p in self.parameters)
+
+    def lacking(self, present: Collection[str]) -> list[str]:
+        """List the needs of which a recording with these present has none."""
+        return sorted(need for need in self.needs if not set(need.split("|")) & set(present))
 
     @property
     def of_vehicle(self) -> bool:

@@ -157,7 +157,7 @@ def test_a_stored_diagnosis_is_rehearsed_like_the_one_just_made(loaded: Track, t
 def test_the_bound_holds_its_share_of_those_that_could_be_calibrated() -> None:
     errors = np.random.default_rng(2).gamma(2.0, 0.05, size=(4000, 2))
     errors[::3] = np.nan
-    run = Run(errors, errors[:, 0], np.full(4000, 4.0))
+    run = Run(np.column_stack([errors, errors[:, 0], np.full(4000, 4.0)]))
     for column, expected in zip(errors.T, (run.errors.level, run.errors.tilt_15), strict=True):
         calibrated = column[np.isfinite(column)]
         assert (calibrated <= expected.interval95[1]).mean() == pytest.approx(0.95, abs=0.001)
