@@ -15,10 +15,7 @@ import numpy as np
 
 from mavcompass.frames import FloatArray, euler_to_matrix, euler_to_quaternion
 from mavcompass.gap.attitude.reference import body_rate
-from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.replay.noise import Noise, SensorNoise, group_values
-from mavcompass.gap.replay.nominal import replay
-from mavcompass.gap.replay.nuisance import Prior
 from mavcompass.simulation.effects import Distortion, Effect, Setting, catalogue, parse, spell
 from mavcompass.simulation.effects.effect import GROUPS, MOMENTS, Group, Parameter, Stage
 from mavcompass.simulation.physics.signals import Reading, Stimulus, ideal
@@ -208,11 +205,7 @@ def usable_effects(stimulus: Stimulus) -> list[Effect]:
     if math.sqrt(float(down.var(axis=0).sum())) > math.sin(math.radians(4.0)):
         varied.add("tilt")
     varied |= {"turning", "reference"}
-    return [
-        e
-        for e in catalogue().values()
-        if e.id not in _NEVER_NAMED and all(any(o in varied for o in n.split("|")) for n in e.needs)
-    ]
+    return [e for e in catalogue().values() if e.id not in _NEVER_NAMED and not e.lacking(varied)]
 
 
 def draw_setting(effect: Effect, stimulus: Stimulus, rng: np.random.Generator) -> Setting:
@@ -331,10 +324,3 @@ def draw_case(seed: int, index: int, tier: Tier | None) -> tuple[Label, Track, T
     """Draw one case: its label, the recording and the baseline."""
     label = draw_label(seed, index, tier)
     return label, *tracks_of(label)
-
-
-def noiseless(label: Label) -> tuple[Problem, list[Effect]]:
-    """Return the recording of a label without noise, and the effects that a diagnosis could choose."""
-    stimulus = stimulus_of(recipe_of(label))
-    replayed = replay(to_track(stimulus, affected(stimulus, [parse(text) for text in label.effects])))
-    return Problem(replayed, CASE_NOISE, replayed.valid, Prior()), list(catalogue().values())

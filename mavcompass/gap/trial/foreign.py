@@ -6,23 +6,14 @@ Another simulator's columns become tracks by the contract and nothing else.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
 
 import numpy as np
 
-from mavcompass.frames import FloatArray, quaternion_to_matrix, rotate_back
-from mavcompass.gap.attitude.kinematics import averaged
-from mavcompass.gap.fit.hypothesis import Fit
-from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.left.taught import from_baseline
-from mavcompass.gap.replay.nominal import half_testable, replay, untestable_effects
-from mavcompass.gap.replay.nuisance import REFERENCE_YAW
-from mavcompass.gap.replay.rows import compass_rows, shared_period_s
+from mavcompass.frames import FloatArray
 from mavcompass.gap.trial.cases import SHARES, Generator, Label, Tier
 from mavcompass.gap.trial.closed_form import UTC_S, Simulated, make, quaternion
 from mavcompass.gap.trial.vehicles import VehicleCase, make_case
 from mavcompass.simulation.effects import catalogue
-from mavcompass.simulation.effects.effect import Effect, Signals
 from mavcompass.track import MagSeries, Series, Track
 
 _COUNTS = {"none": 0, "single": 1, "pair": 2}
@@ -102,38 +93,3 @@ def draw_case(generator: Generator, seed: int, index: int, tier: Tier | None) ->
     label = Label(chosen, case.words, own, effects, generator=generator)
     assert case.baseline is not None
     return label, case.track, case.baseline
-
-
-def noiseless(label: Label) -> tuple[Problem, list[Effect]]:
-    """Return the flight without noise, as the diagnosis would see it, and the effects that it could choose.
-
-    The vehicle is as what is known of it has it, its attitude the true one, and the readings are changed by
-    what the effects make; noise and priors (yaw, field, iron in force, age) are the diagnosis's own.
-    """
-    case = case_of(label.generator, label.tier, label.seed)
-    track, baseline = case.track, case.baseline
-    assert baseline is not None and track.truth_q is not None
-    period_s = shared_period_s([track, baseline], 1)
-    replayed = replay(track, period_s=period_s)
-    before = replay(baseline, period_s=period_s, most_averaged=replayed.averaged)
-    compass = track.compasses[1]
-    rows = compass_rows(track, compass, period_s)
-    index = rows.index
-    middles = np.searchsorted(rows.time_s, replayed.time_s)
-    change = (case.clean_mgauss - case.clean_nominal_mgauss)[index]
-    if rows.width > 1:
-        change = averaged(change, rows.width)
-    rotation = quaternion_to_matrix(track.truth_q.values[index][middles])
-    stimulus = replace(replayed.signals.stimulus, rotation=rotation)
-    reading = replace(replayed.signals.reading, mag_mgauss=rotate_back(rotation, stimulus.field_ned_mgauss))
-    exact = replace(
-        replayed, signals=Signals(stimulus, reading), nominal_mgauss=replayed.iron.raw(reading.mag_mgauss)
-    )
-    every = list(catalogue().values())
-    floor = from_baseline(exact, before, every)
-    facing = floor.prior.holds(REFERENCE_YAW)
-    prior = replace(floor.prior, mean=np.where(facing, 0.0, floor.prior.mean))
-    plain = Problem(exact, floor.noise, exact.valid, prior).predict(Fit(nuisances=prior.mean)).mag_mgauss
-    exact = replace(exact, measured=replace(exact.measured, mag_mgauss=plain + change[middles]))
-    unable = untestable_effects(exact, every, before.telemetry).keys() - half_testable(exact, every)
-    return Problem(exact, floor.noise, exact.valid, prior), [e for e in every if e.id not in unable]

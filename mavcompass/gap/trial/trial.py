@@ -7,11 +7,9 @@ import json
 import math
 import secrets
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from itertools import product
-from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +18,7 @@ from mavcompass.blas import single_thread
 from mavcompass.chance import wilson
 from mavcompass.errors import UsageError
 from mavcompass.frames import FloatArray
-from mavcompass.gap.diagnose import diagnose_gap, withheld_effects
-from mavcompass.gap.fit.hypothesis import Fit, Term, placements
-from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.fit.search import Search
+from mavcompass.gap.diagnose import diagnose_gap
 from mavcompass.gap.replay.nominal import replay
 from mavcompass.gap.result import plain
 from mavcompass.gap.trial import cases as bench
@@ -38,11 +33,11 @@ from mavcompass.gap.trial.cases import (
     stimulus_of,
     tracks_of,
 )
-from mavcompass.simulation.effects import catalogue, parse
+from mavcompass.gap.trial.distance import akin, apart
+from mavcompass.simulation.effects import parse
 from mavcompass.simulation.physics.signals import ideal
 from mavcompass.track import Track
 
-_NO_NEARER = 0.99
 _NOT_SURE = ("unknown", "ambiguous", "named_with_remainder")
 
 
@@ -106,7 +101,7 @@ class Case:
     def wrong_name(self) -> bool:
         """Tell whether something is named, without remainder, that is neither the truth nor like it."""
         named = set(self.answer.effects) if self.answer.verdict == "named" else set()
-        return not named <= _akin(self.label.ids)
+        return not named <= akin(self.label.ids)
 
 
 def score(label: Label, answer: Answer, withheld: Answer | None) -> Case:
@@ -117,94 +112,10 @@ def score(label: Label, answer: Answer, withheld: Answer | None) -> Case:
     separation = own = oracle = true_shrink = truth_distance = math.nan
     if label.effects:
         with single_thread():
-            of_vehicles = label.generator != "bench"
-            problem, others = (foreign if of_vehicles else bench).noiseless(label)
-            if of_vehicles:
-                label = replace(label, size_sigma=_size(problem))
-            else:
+            if label.generator == "bench":
                 oracle, true_shrink = closing_of_the_truth(label, answer)
-            if foreign.shifts(truth):
-                seen: Search | None = Search(problem, others)
-                truth_distance = 0.0
-                if of_vehicles and label.tier != "outside":
-                    seen, truth_distance = _as_modelled(label, Search(problem, others))
-                separation = 0.0 if seen is None else _separation(label, seen)
-                if seen is not None:
-                    own = _distance(seen, frozenset(truth), most=1) if label.tier == "withheld" else own
+            label, separation, own, truth_distance = apart(label)
     return Case(label, answer, withheld, separation, exact, in_set, oracle, true_shrink, own, truth_distance)
-
-
-def _separation(label: Label, search: Search) -> float:
-    """Return how far, in sigmas of the whole recording, the case is from what other effects can make.
-
-    For a pair it is the lesser of the two distances with one member removed (a turn of the mounting that
-    stays is known); for what the catalogue does not have, or is not to use, the distance to all that three
-    others can make together.
-    """
-    if label.tier == "pair":
-        return min(_distance(search, frozenset({n}), 2, _turned(label, search, n)) for n in label.ids)
-    if label.tier == "single":
-        return _distance(search, frozenset(label.ids), most=1)
-    return _distance(search, _akin(label.ids), most=3)
-
-
-def _akin(names: Iterable[str]) -> frozenset[str]:
-    """Return effects of the catalogue with all that can look like them."""
-    return withheld_effects(name for name in names if name in catalogue())
-
-
-def _turned(label: Label, search: Search, removed: str) -> Fit | None:
-    """Return the turn of the mounting by right angles that a pair keeps: no search goes from one to the
-    next."""
-    terms = {term.effect.id: term for term in search.terms if term.effect.kind == "discrete"}
-    turns = [text for text in label.effects if text.partition(":")[0] in terms.keys() - {removed}]
-    kept = [parse(text) for text in turns]
-    known = search.problem.prior.mean
-    return Fit(tuple(terms[s.effect.id] for s in kept), tuple(s.theta for s in kept), known) if kept else None
-
-
-def _distance(search: Search, removed: frozenset[str], most: int, held: Fit | None = None) -> float:
-    def nearest(terms: list[Term]) -> float:
-        rest = search.on(search.problem)
-        rest.terms = terms
-        return rest.nearest(most, held).sse
-
-    usable = [term for term in search.terms if term.effect.id not in removed]
-    least = nearest(usable)
-    if search.problem.prior.effects and least > _NO_NEARER * search.problem.null().sse:
-        # Beside bent nuisances the normal equations may have pointed nowhere: each by itself.
-        least = min([least, *(nearest([term]) for term in usable)])
-    return math.sqrt(max(least, 0.0))
-
-
-def _as_modelled(label: Label, search: Search) -> tuple[Search | None, float]:
-    """Return a search of what the catalogue's own model makes of the truth, and how far that stays from it.
-
-    There is none where the flight cannot test the truth.
-    """
-    terms = {term.effect.id: term for term in search.terms}
-    if not terms.keys() >= set(label.ids):
-        return None, math.nan
-    try:
-        settings = [parse(text) for text in label.effects]
-    except UsageError:
-        # Another make's effect may be larger than the catalogue calls physical.
-        return search, math.nan
-    problem = search.problem
-    named = tuple(terms[s.effect.id] for s in settings)
-    placed = product(*(placements(s.effect, s.theta, problem.replay.iron.offset_mgauss) for s in settings))
-    starts = [Fit(named, thetas, problem.prior.mean) for thetas in placed]
-    least, nearest = min(((problem.fit(start).sse, start) for start in starts), key=itemgetter(0))
-    made = problem.predict(nearest).mag_mgauss
-    replayed = replace(problem.replay, measured=replace(problem.replay.measured, mag_mgauss=made))
-    modelled = search.on(Problem(replayed, problem.noise, problem.rows, problem.prior))
-    return modelled, math.sqrt(max(least, 0.0))
-
-
-def _size(problem: Problem) -> float:
-    """Return the whitened length of what the effects change, nothing else being fitted."""
-    known = Fit(nuisances=problem.prior.mean)
-    return float(np.linalg.norm(problem.residual(problem.predict(known))))
 
 
 def closing_of_the_truth(label: Label, answer: Answer) -> tuple[float, float]:
