@@ -20,9 +20,9 @@ from mavcompass.blas import single_thread
 from mavcompass.frames import FloatArray
 from mavcompass.gap.diagnose import Replayed, diagnose_gap
 from mavcompass.gap.export import follows_places, settings_of
-from mavcompass.gap.left.floor import heading_error_rad, rms
 from mavcompass.gap.replay.nominal import Replay, replay
 from mavcompass.gap.replay.rows import shared_period_s
+from mavcompass.gap.residual.floor import heading_error_rad, rms
 from mavcompass.gap.result import Cause, Closing, Diagnosis, plain
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects import catalogue, get

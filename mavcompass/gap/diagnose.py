@@ -13,15 +13,15 @@ from mavcompass.gap.answer.description import describe
 from mavcompass.gap.answer.evidence import Evidence
 from mavcompass.gap.attitude.reference import Choice, steered_by
 from mavcompass.gap.attitude.sensors import sensor_faults
-from mavcompass.gap.left.adequacy import doubting, judge
-from mavcompass.gap.left.floor import Floor, foreseen, from_recording
-from mavcompass.gap.left.taught import from_baseline
+from mavcompass.gap.detectors.detect import Detected, detect, searched
 from mavcompass.gap.replay.nominal import Replay, half_testable, replay, untestable_effects
 from mavcompass.gap.replay.rows import shared_period_s
+from mavcompass.gap.residual.baseline import from_baseline
+from mavcompass.gap.residual.floor import Floor, from_recording, with_predictive_variance
+from mavcompass.gap.residual.goodness_of_fit import doubting, judge
 from mavcompass.gap.result import Diagnosis
-from mavcompass.gap.selection.identification import Identified, Remainder, identify, what_is_left, with_white
+from mavcompass.gap.selection.identification import Identified, Residual, identify, residual_of, with_white
 from mavcompass.gap.selection.split import split_blocks
-from mavcompass.gap.traces.traces import Traces, find_traces, searched
 from mavcompass.simulation.effects import Effect, catalogue
 from mavcompass.track import Track
 
@@ -109,30 +109,30 @@ def examine(
     progress("measuring the floor")
     floor = from_recording(now) if before is None else from_baseline(now, before, every)
 
-    # 4. Traces
-    traces, now = find_traces(
+    # 4. Detected
+    detected, now = detect(
         now, before, float(floor.noise["mag"].rms.mean()), floor.field_rms_mgauss,
         frozenset(e.id for e in testable), floor.representative,
     )  # fmt: skip
-    if before is None and traces.rapid:
+    if before is None and detected.rapid:
         floor = from_recording(now)
-    if traces.stale_share > 0.0 and now.trace.frozen:
+    if detected.stale_share > 0.0 and now.trace.frozen:
         # A compass that says one thing tells of nothing else.
         testable = []
 
     # 5. Split, 6. Search, 7. What is left
     progress(f"weighing {len(testable)} effects")
-    identified, remainder, floor = _explained(now, floor, testable, traces)
+    identified, remainder, floor = _explained(now, floor, testable, detected)
     if identified.fit.is_turned and steered_by(track, compass) != "other":
         # An autopilot that steers by a compass in another orientation leans as it should not: it says nothing
         # of the other sensors.
         faults = ()
     progress("looking at what is left")
-    adequacy = judge(remainder.problem, remainder.fit, floor.representative and remainder.comparable)
+    goodness = judge(remainder.problem, remainder.fit, floor.representative and remainder.comparable)
 
     hidden = {effect: why for effect, why in untestable.items() if effect not in {f.effect for f in faults}}
     return Evidence(
-        track, compass, now, floor, identified, remainder, adequacy, traces, hidden, half,
+        track, compass, now, floor, identified, remainder, goodness, detected, hidden, half,
         withheld, faults,
     )  # fmt: skip
 
@@ -163,22 +163,22 @@ def _replays(
 
 
 def _explained(
-    replayed: Replay, floor: Floor, testable: list[Effect], traces: Traces
-) -> tuple[Identified, Remainder, Floor]:
+    replayed: Replay, floor: Floor, testable: list[Effect], detected: Detected
+) -> tuple[Identified, Residual, Floor]:
     """Search, and search again where the noise turns out to be another than the search assumed."""
     split = split_blocks(replayed.time_s, replayed.valid)
     names = frozenset(e.id for e in testable)
     if not floor.representative and (floor.measured or replayed.reference.kind != "columns"):
-        floor = foreseen(floor, replayed, split.train, split.test)
+        floor = with_predictive_variance(floor, replayed, split.train, split.test)
     # With too small a noise everything looks like an effect: what the numbers tell of it counts before.
     detailed = floor.representative or not floor.measured
-    white = 0.0 if detailed or traces.step_mgauss > 0.0 else traces.excess_mgauss2 / replayed.averaged
-    added = white + traces.step_mgauss**2 / 12.0
+    white = 0.0 if detailed or detected.step_mgauss > 0.0 else detected.excess_mgauss2 / replayed.averaged
+    added = white + detected.step_mgauss**2 / 12.0
     start = replace(floor, noise=with_white(floor.noise, added)) if added > 0.0 else floor
     effects = searched(replayed, testable)
     identified, own = identify(replayed, start, split, effects, noise_known=floor.measured)
     floor = replace(own, noise=floor.noise) if floor.measured else own
-    remainder = what_is_left(identified, floor, names, traces)
+    remainder = residual_of(identified, floor, names, detected)
     found = remainder.scatter
     expected = found is not None and found.white if white > 0.0 else found is None
     if expected or (white == 0.0 and not identified.fit.terms):
@@ -186,4 +186,4 @@ def _explained(
     # Extra scatter makes every gain look larger than it is: choose again under it.
     noisy = replace(floor, noise=remainder.problem.noise)
     identified, _ = identify(replayed, noisy, split, effects, noise_known=True)
-    return identified, what_is_left(identified, floor, names, replace(traces, step_mgauss=0.0)), floor
+    return identified, residual_of(identified, floor, names, replace(detected, step_mgauss=0.0)), floor

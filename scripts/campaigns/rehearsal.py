@@ -31,11 +31,11 @@ from mavcompass.blas import single_thread
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import BadRecording, PoorCalibration, Refused
 from mavcompass.gap import diagnose_gap
-from mavcompass.gap.left.floor import rms
 from mavcompass.gap.rehearsal import Expected
 from mavcompass.gap.rehearsal.draws import Draws
 from mavcompass.gap.rehearsal.kind import kind_of
 from mavcompass.gap.rehearsal.rehearse import calibrations
+from mavcompass.gap.residual.floor import rms
 from mavcompass.logs import read_track
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.settings import CalibrateSettings

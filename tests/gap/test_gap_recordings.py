@@ -15,8 +15,8 @@ from mavcompass.gap.export.simulators import ardupilot_sitl, preset
 from mavcompass.gap.export.vehicle import Found, settings_of, vehicle_settings
 from mavcompass.gap.fit.hypothesis import Fit, make_term
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.left.floor import from_recording
 from mavcompass.gap.replay.nominal import replay
+from mavcompass.gap.residual.floor import from_recording
 from mavcompass.logs import read_track
 from mavcompass.simulation.effects import Setting, read_preset
 from mavcompass.track import Track

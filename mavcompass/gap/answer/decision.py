@@ -62,7 +62,7 @@ def decide(evidence: Evidence) -> Answer:
     posterior, none, fit = identified.posterior, identified.null, identified.fit
     field, heading = figures(evidence, fit, with_scatter=True)
     if evidence.frozen:
-        return Answer("named_with_remainder", none, field, heading, (), evidence.adequacy.where)
+        return Answer("named_with_remainder", none, field, heading, (), evidence.goodness.where)
     known, levels = statistics(evidence, field, heading), table.levels
     outcomes = table.map.probabilities(known.values)
     alone = figures(evidence, none, with_scatter=False)
@@ -77,7 +77,7 @@ def decide(evidence: Evidence) -> Answer:
     if silent:
         field, heading = alone
     # What single readings show and no name is for is no silence.
-    shown = silent and bool(evidence.traces.unexplained)
+    shown = silent and bool(evidence.detected.unexplained)
     turns = bool(evidence.replay.present & {"turning", "tilt"}) or floor.measured
     # An exact floor is judged in detail instead.
     lifted = known.kind != "exact" and any(above(c, c.after) for c in (field, heading))
@@ -91,10 +91,10 @@ def decide(evidence: Evidence) -> Answer:
         testable=turns and (floor.measured or heading.floor < levels.coarsest_deg),
     )
     known_sets = ((fit.ids, outcomes["whole"] + outcomes["part"]), *posterior.weights(outcomes["other"]))
-    where = evidence.adequacy.where if said in ("unknown", "named_with_remainder") else None
+    where = evidence.goodness.where if said in ("unknown", "named_with_remainder") else None
     if said in ("named", "ambiguous", "named_with_remainder"):
         return Answer(said, fit, field, heading, _told(known_sets), where, wander_deg)
-    if said == "unknown" and (evidence.faults or evidence.traces.causes):
+    if said == "unknown" and (evidence.faults or evidence.detected.causes):
         # What single readings show by themselves is named, whatever else there is.
         both = figures(evidence, none, with_scatter=True)
         sets = ((none.ids, 1.0 - outcomes["unknown"]),)

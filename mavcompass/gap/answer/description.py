@@ -18,10 +18,10 @@ from mavcompass.gap.answer.evidence import Evidence, shows, waterfall
 from mavcompass.gap.answer.naming import named_causes
 from mavcompass.gap.fit.hypothesis import Fit
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.left.floor import Floor, heading_error_rad, rms
 from mavcompass.gap.replay.noise import group_values
 from mavcompass.gap.replay.nominal import level_mgauss
 from mavcompass.gap.replay.nuisance import IRON_MATRIX, IRON_OFFSET, TELEMETRY_AGE, WORLD_FIELD
+from mavcompass.gap.residual.floor import Floor, heading_error_rad, rms
 from mavcompass.gap.result import (
     EFFECTS,
     FIELD,
@@ -249,7 +249,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
     beside = evidence.faults
     if answer.verdict != "unknown":
         level = level_mgauss(evidence.replay)
-        read = (*(() if scatter is None else (scatter.cause,)), *evidence.traces.causes)
+        read = (*(() if scatter is None else (scatter.cause,)), *evidence.detected.causes)
         read = tuple(replace(c, removes_deg=math.degrees(c.removes_mgauss / level)) for c in read)
         beside = read + beside
     # Whatever else is named, what single readings tell is there.
@@ -282,7 +282,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
         waterfall=waterfall(problem, named, test),
         unknown=answer.flagged,
         unknown_coordinate=answer.coordinate,
-        tests=tuple((t.name, t.p) for t in evidence.adequacy.tests[:12]),
+        tests=tuple((t.name, t.p) for t in evidence.goodness.tests[:12]),
         not_testable=tuple(sorted((_hidden(evidence, named) | evidence.untestable).items())),
         next_flight=next_flights(rivals, replayed.signals.stimulus.field_ned_mgauss[0], floor.noise),
         folded=floor.folded,

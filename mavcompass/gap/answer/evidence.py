@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 
 from mavcompass.chance import students_t
 from mavcompass.frames import FloatArray
+from mavcompass.gap.detectors.detect import Detected
 from mavcompass.gap.fit.hypothesis import Fit
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.left.adequacy import Adequacy
-from mavcompass.gap.left.floor import Floor, heading_error_rad, heading_scatter, kind_of, rms
 from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.replay.nuisance import REFERENCE_YAW
+from mavcompass.gap.residual.floor import Floor, heading_error_rad, heading_scatter, kind_of, rms
+from mavcompass.gap.residual.goodness_of_fit import GoodnessOfFit
 from mavcompass.gap.result import Bar, Cause, Closing
-from mavcompass.gap.selection.identification import Identified, Remainder
+from mavcompass.gap.selection.identification import Identified, Residual
 from mavcompass.gap.tables import Kind, tables, usual
-from mavcompass.gap.traces.traces import Traces
 from mavcompass.simulation.effects.effect import LIMIT
 from mavcompass.track import Track
 
@@ -45,9 +45,9 @@ class Evidence:
     replay: Replay
     floor: Floor
     identified: Identified
-    remainder: Remainder
-    adequacy: Adequacy
-    traces: Traces
+    remainder: Residual
+    goodness: GoodnessOfFit
+    detected: Detected
     untestable: dict[str, str]
     half_testable: frozenset[str]
     withheld: frozenset[str]
@@ -55,21 +55,21 @@ class Evidence:
 
     @property
     def beside_ids(self) -> frozenset[str]:
-        """Return what is named besides the fitted effects: faults, scatter, other traces."""
+        """Return what is named besides the fitted effects: faults, scatter, what single readings show."""
         scatter = self.remainder.scatter
-        ids = {cause.effect for cause in (*self.faults, *self.traces.causes)}
+        ids = {cause.effect for cause in (*self.faults, *self.detected.causes)}
         return frozenset(ids if scatter is None else ids | {scatter.effect})
 
     @property
     def frozen(self) -> bool:
         """Tell whether the compass says one thing throughout, and so tells of nothing else."""
-        return self.traces.stale_share > 0.0 and self.replay.trace.frozen
+        return self.detected.stale_share > 0.0 and self.replay.trace.frozen
 
     @property
     def unseen_mgauss2(self) -> float:
         """Return the variance of the readings that averaged and cleaned rows do not have."""
         scatter = self.remainder.scatter
-        unseen = sum(rapid.variance_mgauss2 for rapid in self.traces.rapid)
+        unseen = sum(rapid.variance_mgauss2 for rapid in self.detected.rapid)
         if scatter is not None and scatter.white:
             unseen += scatter.size**2 - scatter.on_rows_mgauss2(self.replay)
         return unseen
@@ -102,7 +102,7 @@ def statistics(evidence: Evidence, field: Closing, heading: Closing) -> Statisti
     spread, kind = posterior.overdispersion, kind_of(evidence.replay, evidence.floor)
     remainder = evidence.remainder
     residual = _reduced(remainder.problem, remainder.fit)
-    tests = evidence.adequacy.tests
+    tests = evidence.goodness.tests
     improbable = math.log1p(-math.log10(max(min((test.p for test in tests), default=1.0), 1e-300)))
     gained = (_squares(held, none) - _squares(held, best)) / spread
     values = {
@@ -144,7 +144,7 @@ def figures(evidence: Evidence, named: Fit, with_scatter: bool) -> tuple[Closing
     problem, rows = identified.problem, np.flatnonzero(identified.split.test)
     replay, scatter, unseen2 = problem.replay, remainder.scatter, evidence.unseen_mgauss2
     measured = told = replay.measured.mag_mgauss
-    if evidence.traces.step_mgauss > 0.0:
+    if evidence.detected.step_mgauss > 0.0:
         told = remainder.problem.replay.measured.mag_mgauss
         if named.ids == remainder.fit.ids:
             # What readings may have been before they were rounded was drawn about the fit to all of them.

@@ -17,7 +17,7 @@ import numpy as np
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.hypothesis import Fit, make_term
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.left.floor import apart
+from mavcompass.gap.residual.floor import apart
 from mavcompass.gap.result import Cause, Diagnosis, plain
 from mavcompass.gap.selection.identification import Identified
 from mavcompass.gap.selection.split import between_rows

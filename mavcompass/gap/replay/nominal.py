@@ -30,7 +30,7 @@ from mavcompass.gap.replay.nuisance import (
     reference_attitude_error,
 )
 from mavcompass.gap.replay.rows import compass_rows, middles, shared_period_s, swing, unbroken
-from mavcompass.gap.replay.whereabouts import (
+from mavcompass.gap.replay.surroundings import (
     column,
     every_s,
     goes_about,

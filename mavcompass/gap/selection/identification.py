@@ -24,10 +24,13 @@ from statistics import NormalDist
 import numpy as np
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.detectors.detect import Detected
 from mavcompass.gap.fit.hypothesis import Fit, Mask
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.search import Search, pruned, unbent
-from mavcompass.gap.left.floor import (
+from mavcompass.gap.replay.noise import Noise
+from mavcompass.gap.replay.nominal import Replay
+from mavcompass.gap.residual.floor import (
     Floor,
     Scatter,
     find_scatter,
@@ -36,8 +39,6 @@ from mavcompass.gap.left.floor import (
     noise_with,
     widened,
 )
-from mavcompass.gap.replay.noise import Noise
-from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.selection.split import (
     Split,
     moments,
@@ -50,7 +51,6 @@ from mavcompass.gap.selection.split import (
     with_windows,
 )
 from mavcompass.gap.tables import usual
-from mavcompass.gap.traces.traces import Traces
 from mavcompass.simulation.effects.effect import LIMIT, Effect
 from mavcompass.simulation.physics.signals import Reading
 
@@ -170,7 +170,7 @@ _SEED = 20260102
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Remainder:
+class Residual:
     """Hold the chosen effects refitted on all rows, and extra scatter if there is some.
 
     `comparable` is False where the readings' own noise cannot be compared with the floor's.
@@ -189,9 +189,9 @@ def with_white(noise: Noise, variance_mgauss2: float) -> Noise:
     return {**noise, "mag": replace(mag, sigma=sigma, rms=rms)}
 
 
-def what_is_left(identified: Identified, floor: Floor, names: frozenset[str], traces: Traces) -> Remainder:
+def residual_of(identified: Identified, floor: Floor, names: frozenset[str], detected: Detected) -> Residual:
     """Refit the chosen effects on all rows; look for extra scatter, and put it into the noise."""
-    step_mgauss = traces.step_mgauss
+    step_mgauss = detected.step_mgauss
     replay, chosen = identified.problem.replay, identified.fit
     noise = with_white(floor.noise, step_mgauss**2 / 12.0) if step_mgauss > 0.0 else floor.noise
     problem = Problem(replay, noise, replay.valid, floor.prior)
@@ -201,15 +201,15 @@ def what_is_left(identified: Identified, floor: Floor, names: frozenset[str], tr
         fit = identified.search.on(problem).polished(fit)
     if step_mgauss > 0.0:
         return _unrounded(problem, fit, floor, step_mgauss)
-    scatter = find_scatter(problem, fit, names, floor, traces.excess_mgauss2)
+    scatter = find_scatter(problem, fit, names, floor, detected.excess_mgauss2)
     if scatter is None:
         # A saturated reading has no scatter.
-        return Remainder(problem, fit, None, fit.value(LIMIT) is None)
+        return Residual(problem, fit, None, fit.value(LIMIT) is None)
     noisy = Problem(problem.replay, noise_with(problem, fit, scatter), problem.rows, floor.prior)
-    return Remainder(noisy, noisy.refit(fit), scatter, False)
+    return Residual(noisy, noisy.refit(fit), scatter, False)
 
 
-def _unrounded(problem: Problem, fit: Fit, floor: Floor, step_mgauss: float) -> Remainder:
+def _unrounded(problem: Problem, fit: Fit, floor: Floor, step_mgauss: float) -> Residual:
     """Draw what coarse numbers may have been before they were rounded, given the model and the floor.
 
     If the model is true, the drawn errors are exactly the floor's (randomised quantile residuals, Dunn and
@@ -226,7 +226,7 @@ def _unrounded(problem: Problem, fit: Fit, floor: Floor, step_mgauss: float) -> 
     fresh = Problem(fine, problem.noise, problem.rows, problem.prior)
     noise = {**floor.noise, "mag": measured_noise(fresh, fit)["mag"]}
     judged = Problem(fine, noise, problem.rows, problem.prior)
-    return Remainder(judged, judged.refit(fit), None, False)
+    return Residual(judged, judged.refit(fit), None, False)
 
 
 def _before_rounding(

@@ -17,10 +17,10 @@ from mavcompass.gap.diagnose import withheld_effects
 from mavcompass.gap.fit.hypothesis import Fit, Term, placements
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.search import Search
-from mavcompass.gap.left.taught import from_baseline
 from mavcompass.gap.replay.nominal import half_testable, replay, untestable_effects
 from mavcompass.gap.replay.nuisance import REFERENCE_YAW, Prior
 from mavcompass.gap.replay.rows import compass_rows, shared_period_s
+from mavcompass.gap.residual.baseline import from_baseline
 from mavcompass.gap.trial.cases import CASE_NOISE, Label, affected, recipe_of, stimulus_of, to_track
 from mavcompass.gap.trial.foreign import case_of, shifts
 from mavcompass.simulation.effects import catalogue, parse

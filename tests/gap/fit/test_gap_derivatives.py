@@ -10,8 +10,8 @@ import pytest
 
 from mavcompass.gap.fit.composition import Composition
 from mavcompass.gap.fit.hypothesis import Fit, make_term
-from mavcompass.gap.left.floor import STATED, prior_of
 from mavcompass.gap.replay.nominal import Replay, replay
+from mavcompass.gap.residual.floor import STATED, prior_of
 from mavcompass.gap.trial.vehicles import make_case
 from mavcompass.simulation.effects import catalogue
 

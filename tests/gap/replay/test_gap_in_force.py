@@ -17,7 +17,6 @@ from mavcompass.gap.fit.candidates import Candidates
 from mavcompass.gap.fit.hypothesis import Fit, make_term
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.search import Search
-from mavcompass.gap.left.floor import from_recording
 from mavcompass.gap.replay.noise import SensorNoise, white
 from mavcompass.gap.replay.nominal import Replay, replay
 from mavcompass.gap.replay.nuisance import (
@@ -31,6 +30,7 @@ from mavcompass.gap.replay.nuisance import (
     known_iron,
     reference_attitude_error,
 )
+from mavcompass.gap.residual.floor import from_recording
 from mavcompass.gap.trial.cases import Recipe, make_track, stimulus_of
 from mavcompass.simulation import effects
 from mavcompass.simulation.effects.effect import Signals

@@ -12,7 +12,7 @@ import pytest
 from mavcompass.earth_field import earth_field
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
-from mavcompass.gap.replay.whereabouts import world_field
+from mavcompass.gap.replay.surroundings import world_field
 from mavcompass.gap.tables import usual
 from mavcompass.track import MagSeries, Series, Track
 

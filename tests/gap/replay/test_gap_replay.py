@@ -11,8 +11,8 @@ import pytest
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
 from mavcompass.gap import diagnose_gap
 from mavcompass.gap.attitude.reference import body_rate
+from mavcompass.gap.detectors.detect import names_stale, names_step
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.left.floor import foreseen, from_recording
 from mavcompass.gap.replay.nominal import Replay, replay, untestable_effects
 from mavcompass.gap.replay.nuisance import (
     WORLD_FIELD,
@@ -20,8 +20,8 @@ from mavcompass.gap.replay.nuisance import (
     reference_attitude_error,
 )
 from mavcompass.gap.replay.rows import compass_rows
+from mavcompass.gap.residual.floor import from_recording, with_predictive_variance
 from mavcompass.gap.selection.split import split_blocks
-from mavcompass.gap.traces.traces import names_stale, names_step
 from mavcompass.gap.trial.cases import PLACE, Recipe, make_track
 from mavcompass.simulation.effects import catalogue
 from mavcompass.track import MagSeries, Series, Track
@@ -104,10 +104,10 @@ def test_floor_rises_with_what_the_training_rows_leave_unknown_and_not_with_what
     shown[:, 0, 0] = size * np.where(np.sin(0.2 * t) > 0.0, 1.0, -1.0)
 
     def raised(curves_rad: FloatArray) -> tuple[float, float]:
-        """Return what is foreseen beside the stated floor, milligauss and degrees."""
+        """Return what is with_predictive_variance beside the stated floor, milligauss and degrees."""
         leaning = with_curves(replayed, curves_rad)
         floor = from_recording(leaning)
-        more = foreseen(floor, leaning, split.train, split.test)
+        more = with_predictive_variance(floor, leaning, split.train, split.test)
         assert more.prior is floor.prior and more.noise is floor.noise
         return (
             math.sqrt(more.field_rms_mgauss**2 - floor.field_rms_mgauss**2),
@@ -133,7 +133,7 @@ def test_doubt_that_no_curve_holds_raises_the_floor_by_what_it_moves() -> None:
     size = 0.02
     floor = from_recording(replayed)
     calm, more = (
-        foreseen(
+        with_predictive_variance(
             floor,
             replace(replayed, reference=replace(replayed.reference, rest_rad2=np.diag([0.0, east, 0.0]))),
             split.train,
@@ -152,7 +152,7 @@ def test_doubt_that_no_curve_holds_raises_the_floor_by_what_it_moves() -> None:
 def test_nothing_is_foreseen_without_held_out_rows() -> None:
     replayed = replay(driven(np.arange(0.0, 30.0, 0.05), 8.0))
     floor = from_recording(replayed)
-    assert foreseen(floor, replayed, replayed.valid, np.zeros_like(replayed.valid)) is floor
+    assert with_predictive_variance(floor, replayed, replayed.valid, np.zeros_like(replayed.valid)) is floor
 
 
 def test_whole_milligauss_repeat_by_chance() -> None:

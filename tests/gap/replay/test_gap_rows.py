@@ -12,11 +12,11 @@ from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
 from mavcompass.gap.attitude.kinematics import averaged
 from mavcompass.gap.attitude.reference import Reference, body_rate
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.left.floor import STATED
-from mavcompass.gap.left.taught import prior_of
 from mavcompass.gap.replay.noise import white
 from mavcompass.gap.replay.nominal import replay
 from mavcompass.gap.replay.rows import compass_rows, middles, shared_period_s, swing, unbroken
+from mavcompass.gap.residual.baseline import prior_of
+from mavcompass.gap.residual.floor import STATED
 from mavcompass.gap.trial.vehicles import make_case
 from mavcompass.track import MagSeries, Series, Track
 

@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
+from mavcompass.gap.detectors.detect import _overdue_share, detect, names_stale, stale_share
+from mavcompass.gap.detectors.rapid import excess_variance, find_rapid, quiet_doubt, quiet_scatter
 from mavcompass.gap.diagnose import diagnose_gap
 from mavcompass.gap.replay.integrity import Readings, Trace, coarse_step, inspect
 from mavcompass.gap.replay.nominal import replay
-from mavcompass.gap.traces.rapid import excess_variance, find_rapid, quiet_doubt, quiet_scatter
-from mavcompass.gap.traces.traces import _overdue_share, find_traces, names_stale, stale_share
 from mavcompass.gap.trial.cases import Recipe, make_track
 from mavcompass.gap.trial.vehicles.cases import make_case
 from mavcompass.simulation.effects import catalogue
@@ -291,7 +291,7 @@ def test_long_telemetry_names_what_averaged_rows_hide() -> None:
     )
     # Where it may not be named it is not taken for noise either, and stays in the readings.
     now, before = (replay(t, 1, "auto", 0.3) for t in (case.track, case.baseline) if t is not None)
-    traces, left = find_traces(now, before, 2.0, 2.6, frozenset({"noise_excess"}), exact=False)
+    traces, left = detect(now, before, 2.0, 2.6, frozenset({"noise_excess"}), exact=False)
     assert not traces.causes and traces.excess_mgauss2 == 0.0 and left is now
 
 

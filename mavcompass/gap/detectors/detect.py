@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.detectors.rapid import Rapid, burst_mgauss, excess_variance, find_rapid
 from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.result import Cause
 from mavcompass.gap.tables import usual
-from mavcompass.gap.traces.rapid import Rapid, burst_mgauss, excess_variance, find_rapid
 from mavcompass.simulation.effects import Effect, detected_by
 
 
@@ -156,7 +156,7 @@ def names_step(replay: Replay, baseline: Replay | None, noise_mgauss: float) -> 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Traces:
+class Detected:
     """Hold what single readings tell.
 
     Attributes:
@@ -175,14 +175,14 @@ class Traces:
     causes: tuple[Cause, ...] = ()
 
 
-def find_traces(
+def detect(
     replay: Replay,
     baseline: Replay | None,
     noise_mgauss: float,
     floor_mgauss: float,
     names: frozenset[str],
     exact: bool,
-) -> tuple[Traces, Replay]:
+) -> tuple[Detected, Replay]:
     """Read the traces off every reading; return the replay without what changes with each of them.
 
     `names` are the effects that may be named. Where the floor is `exact` and no readings are averaged, the
@@ -220,7 +220,7 @@ def find_traces(
     causes += [Cause.told(r.effect, r.parameters, r.sigma, math.sqrt(r.variance_mgauss2)) for r in rapid]
     if before is not None and burst_mgauss(readings, before) > usual.rapid.material * floor_mgauss:
         unexplained = "time"
-    return Traces(stale, step, rapid, excess, unexplained, tuple(causes)), replay
+    return Detected(stale, step, rapid, excess, unexplained, tuple(causes)), replay
 
 
 def searched(replay: Replay, effects: Iterable[Effect]) -> list[Effect]:

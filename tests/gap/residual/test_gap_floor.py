@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mavcompass.gap.left.floor import heading_error_rad, heading_scatter, rms
 from mavcompass.gap.replay.nominal import replay
+from mavcompass.gap.residual.floor import heading_error_rad, heading_scatter, rms
 from mavcompass.gap.trial.vehicles import make_case
 
 

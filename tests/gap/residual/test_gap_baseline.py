@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavcompass.gap.left.taught import _waiting_s
 from mavcompass.gap.replay.rows import reading_times
+from mavcompass.gap.residual.baseline import _waiting_s
 
 PERIOD_S, SPAN_S = 0.1, 120.0
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.detectors.detect import stale_doubt, told_step
+from mavcompass.gap.detectors.rapid import burst_mgauss, excess_variance, find_rapid
 from mavcompass.gap.replay.integrity import Readings
-from mavcompass.gap.traces.rapid import burst_mgauss, excess_variance, find_rapid
-from mavcompass.gap.traces.traces import stale_doubt, told_step
 
 B, NOISE = np.array([6.0, -9.0, 4.0]), 2.0
 T = np.arange(0.0, 100.0, 0.05)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavcompass.gap.replay.whereabouts import goes_about
+from mavcompass.gap.replay.surroundings import goes_about
 from mavcompass.track import Series
 
 

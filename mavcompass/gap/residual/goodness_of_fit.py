@@ -19,10 +19,10 @@ from mavcompass.chance import chance_above, chance_of_more
 from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.hypothesis import Fit, make_term
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.left.floor import first_noise, measured_noise
 from mavcompass.gap.replay.noise import SensorNoise, group_values
 from mavcompass.gap.replay.nominal import Replay, untestable_effects
 from mavcompass.gap.replay.nuisance import Prior, block_diagonal
+from mavcompass.gap.residual.floor import first_noise, measured_noise
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.effect import Effect, Group, Signals
 
@@ -45,7 +45,7 @@ class Test:
 
 
 @dataclass(frozen=True, slots=True)
-class Adequacy:
+class GoodnessOfFit:
     """Hold all tests, sorted by p."""
 
     tests: tuple[Test, ...]
@@ -61,14 +61,14 @@ class Adequacy:
         return self.tests[0].coordinate if self.tests else "time"
 
 
-def judge(problem: Problem, fit: Fit, compare_scatter: bool) -> Adequacy:
+def judge(problem: Problem, fit: Fit, compare_scatter: bool) -> GoodnessOfFit:
     """Test what a fit leaves, on all usable rows (the fit must have been made on all of them too).
 
     `compare_scatter` also compares the scatter with the floor's, which must then be representative.
     """
     tests = [*_structure(problem, fit), *_scatter(problem, fit, compare_scatter)]
     tests.sort(key=lambda test: test.p)
-    return Adequacy(tuple(tests))
+    return GoodnessOfFit(tuple(tests))
 
 
 def _structure(problem: Problem, fit: Fit) -> Iterator[Test]:

@@ -18,17 +18,6 @@ from mavcompass.gap.attitude.sensors import north_east_m
 from mavcompass.gap.fit.hypothesis import Fit
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.search import Search
-from mavcompass.gap.left.adequacy import judge
-from mavcompass.gap.left.floor import (
-    Floor,
-    apart,
-    field_channels,
-    first_noise,
-    measured_noise,
-    nominal_rate,
-    prior_of,
-    rms,
-)
 from mavcompass.gap.replay.noise import Noise, SensorNoise
 from mavcompass.gap.replay.nominal import Replay, level_mgauss, untestable_effects
 from mavcompass.gap.replay.nuisance import (
@@ -42,6 +31,17 @@ from mavcompass.gap.replay.nuisance import (
     Prior,
     Trust,
 )
+from mavcompass.gap.residual.floor import (
+    Floor,
+    apart,
+    field_channels,
+    first_noise,
+    measured_noise,
+    nominal_rate,
+    prior_of,
+    rms,
+)
+from mavcompass.gap.residual.goodness_of_fit import judge
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.effect import FREQUENCY, LIMIT, Effect
 
@@ -99,7 +99,7 @@ def from_baseline(replay: Replay, baseline: Replay, effects: Collection[Effect])
         heading_rms_deg=heading_rms,
         error_mgauss=error,
         representative=_represents(problem, fit),
-        prior=_taught(replay, baseline, problem, fit, trust),
+        prior=_posterior(replay, baseline, problem, fit, trust),
         folded=tuple(sorted(fit.ids)),
         measured=True,
         trust=trust,
@@ -179,7 +179,7 @@ def _represents(problem: Problem, fit: Fit) -> bool:
     return steady and judge(problem, fit, compare_scatter=False).p > usual.baseline.representative_p
 
 
-def _taught(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust: Trust | None) -> Prior:
+def _posterior(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust: Trust | None) -> Prior:
     """Carry over what a baseline tells of the vehicle and its place, with the joint covariance that it
     leaves."""
     kept = {IRON_MATRIX, IRON_OFFSET, TELEMETRY_AGE}

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.frames import FloatArray
+from mavcompass.gap.detectors.rapid import quiet_doubt, quiet_scatter
 from mavcompass.gap.fit.hypothesis import Fit, Mask, least_gain
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.replay.noise import (
@@ -29,7 +30,6 @@ from mavcompass.gap.replay.nominal import Replay, level_mgauss
 from mavcompass.gap.replay.nuisance import STATED, Prior, Trust
 from mavcompass.gap.result import Cause
 from mavcompass.gap.tables import Kind, usual
-from mavcompass.gap.traces.rapid import quiet_doubt, quiet_scatter
 from mavcompass.simulation.effects import detected_by, get
 from mavcompass.simulation.effects.effect import Group
 from mavcompass.simulation.physics.signals import Reading
@@ -231,7 +231,7 @@ def from_recording(replay: Replay) -> Floor:
     )
 
 
-def foreseen(floor: Floor, replay: Replay, train: Mask, test: Mask) -> Floor:
+def with_predictive_variance(floor: Floor, replay: Replay, train: Mask, test: Mask) -> Floor:
     """Raise a floor by what the training rows leave unknown of the held-out ones when nothing is wrong.
 
     The nuisances' covariance, carried to the held-out field and heading: attitude, place and calibration are
