@@ -172,7 +172,7 @@ def examined(of: Wanted) -> Line | None:
         "overdispersion": posterior.overdispersion,
         "separation": score(label, nothing, None).separation if of.tier in APART else None,
         "sets": [
-            {"ids": sorted(e.fit.ids), "sse": e.fit.sse, "strain": e.strain, "d": e.fit.dimension,
+            {"ids": sorted(e.fit.ids), "sse": e.fit.sse, "strain": e.mahalanobis2, "d": e.fit.dimension,
              "same": posterior.restates(e)}
             for e in posterior.explanations
         ],

@@ -68,7 +68,7 @@ def decide(evidence: Evidence) -> Answer:
     alone = figures(evidence, none, with_scatter=False)
     # Something lies above a floor without the set, or what it was not fitted to gains: other readings, and
     # what is known of vehicle and place.
-    relieved = posterior.nothing.strain - posterior.best.strain
+    relieved = posterior.nothing.mahalanobis2 - posterior.best.mahalanobis2
     confirmed = known.held_out_gain + relieved > 0.0 or any(c.nominal > c.floor for c in alone)
     healthy = table.healthy.p_of_gain(known.gain) > levels.gain
     silent = not evidence.beside_ids and (not fit.terms or healthy or not confirmed)

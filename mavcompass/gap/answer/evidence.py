@@ -112,7 +112,7 @@ def statistics(evidence: Evidence, field: Closing, heading: Closing) -> Statisti
         "held_out": math.log(_reduced(held, best)),
         "structure": math.log(max((t.excess for t in tests), default=1.0) / max(residual, 1.0)),
         "unlikely": improbable if kind == "exact" else 0.0,
-        "strain": math.log1p(posterior.best.strain),
+        "strain": math.log1p(posterior.best.mahalanobis2),
         "confirmed": math.copysign(math.log1p(abs(gained)), gained),
         "field": math.log(max(field.after, 1e-3) / field.floor),
         "heading": math.log(max(heading.after, 1e-3) / heading.floor),

@@ -162,7 +162,7 @@ class BlockNormal:
         nuisances = np.linalg.solve(self._total[:n, :n], self._right[:n] - self._total[:n, n + own] @ values)
         return Solution(float(c @ values), values / self.size[n + own], nuisances / self.size[:n])
 
-    def contradiction(self, own: NDArray[np.int64], of: NDArray[np.int64]) -> float:
+    def overdispersion_of(self, own: NDArray[np.int64], of: NDArray[np.int64]) -> float:
         """Return by how much blocks contradict each other about some columns `of` a set, 1 where they do not.
 
         Of a model that is true the scores of blocks scatter as the normal matrix says: the ratio is the

@@ -186,32 +186,32 @@ class Criteria:
     """Weigh fits of one problem.
 
     `kind` tells how the recording is known: where that is not in detail, gains are held against how far
-    blocks contradict each other. `temper` is by how much errors that last for seconds make sums of squares
-    larger than they should be.
+    blocks contradict each other. `overdispersion` is by how much errors that last for seconds make sums
+    of squares larger than they should be.
     """
 
     def __init__(self, problem: Problem, kind: Kind = "exact") -> None:
         self.kind: Kind = kind
         self.exact = kind in ("exact", "reference")
-        self.temper = 1.0
+        self.overdispersion = 1.0
         self._problem = problem
         # By what a fit has more than another one, and by the fit.
         self._contradictions: dict[tuple[frozenset[str], frozenset[str], float], float] = {}
 
-    def score(self, fit: Fit, temper: float | None = None) -> float:
-        """Return what a fit costs, under another temper perhaps.
+    def score(self, fit: Fit, overdispersion: float | None = None) -> float:
+        """Return what a fit costs, under another overdispersion perhaps.
 
         Errors that last for seconds are the readings': what is known of vehicle and place keeps its weight.
         """
-        strain = self._problem.strain(fit)
-        spread = self.temper if temper is None else temper
-        return (fit.sse - strain) / spread + strain + self.cost(fit.dimension, len(fit.terms))
+        off2 = self._problem.mahalanobis2(fit)
+        spread = self.overdispersion if overdispersion is None else overdispersion
+        return (fit.sse - off2) / spread + off2 + self.cost(fit.dimension, len(fit.terms))
 
     def cost(self, dimension: int, effects: int) -> float:
         """Return the price of so many parameters and effects."""
         return tables().penalty[self.kind].of(dimension, effects, self._problem.count)
 
-    def contradiction(self, smaller: Fit, larger: Fit) -> float:
+    def overdispersion_of(self, smaller: Fit, larger: Fit) -> float:
         """Return by how much blocks contradict each other about what a larger set has more, 1 where they do
         not."""
         more = larger.ids - smaller.ids
@@ -223,7 +223,7 @@ class Criteria:
             of = [c.columns for c in candidates.list if c.term.effect.id in more]
             own = np.concatenate([c.columns for c in candidates.list])
             self._contradictions[key] = (
-                candidates.normal.contradiction(own, np.concatenate(of)) if of else 1.0
+                candidates.normal.overdispersion_of(own, np.concatenate(of)) if of else 1.0
             )
         return self._contradictions[key]
 
@@ -249,7 +249,7 @@ def likeliest_sets(
         left = candidates.expected([[every[i] for i in members] for members in new])
         for members, sse in zip(new, left.tolist(), strict=True):
             parameters = sum(dimension[i] for i in members)
-            scores[members] = sse / criteria.temper + criteria.cost(parameters, len(members))
+            scores[members] = sse / criteria.overdispersion + criteria.cost(parameters, len(members))
 
     def grown(parent: tuple[int, ...]) -> set[tuple[int, ...]]:
         held = {effect[m] for m in parent}

@@ -135,8 +135,9 @@ class Problem:
         """Return what a fit makes of each nuisance, by its id."""
         return {nuisance: fit.nuisances[at] for nuisance, at in self.prior.places.items()}
 
-    def strain(self, fit: Fit) -> float:
-        """Return how far a fit strains what is known of vehicle and place together, in squared sigmas.
+    def mahalanobis2(self, fit: Fit) -> float:
+        """Return how far a fit is from what is known of vehicle and place together, as Mahalanobis' distance
+        squared.
 
         The yaw's constant may be known; how it wanders is no knowledge of them.
         """
@@ -144,14 +145,14 @@ class Problem:
         off = (fit.nuisances - self.prior.mean)[known]
         return float(off @ self.prior.precision[np.ix_(known, known)] @ off)
 
-    def chance_of_strain(self, fit: Fit) -> float:
+    def chance_of_mahalanobis2(self, fit: Fit) -> float:
         """Return the probability that what is known of vehicle and place is off by so much, by chance."""
         known = int(self.prior.known.sum())
-        return chance_of_more(self.strain(fit), known) if known else 1.0
+        return chance_of_more(self.mahalanobis2(fit), known) if known else 1.0
 
-    def straight(self, fit: Fit) -> bool:
-        """Tell whether a fit bends what is known of vehicle and place no further than by chance."""
-        return self.chance_of_strain(fit) > CHANCE
+    def nuisances_within_prior(self, fit: Fit) -> bool:
+        """Tell whether a fit is no farther from what is known of vehicle and place than by chance."""
+        return self.chance_of_mahalanobis2(fit) > CHANCE
 
     def null(self, near: Fit | None = None) -> Fit:
         """Fit the nuisances alone, from their means or from where another problem has them, as far as it

@@ -26,14 +26,14 @@ from mavcompass.simulation.effects.effect import MOMENTS, Effect
 FEW_STEPS = 3
 
 
-def unbent(problem: Problem, fit: Fit, curves: bool = False) -> Fit:
+def nuisances_at_prior(problem: Problem, fit: Fit, curves: bool = False) -> Fit:
     """Return nuisances to their prior where a gap has bent them far: what is wrong must show to be
     found. How the attitude wanders explains nothing away, but beside bent `curves` no derivative is
     good."""
     prior, kept = problem.prior, fit.nuisances.copy()
     if fit.terms or not kept.size:
         return fit
-    off, straight = kept - prior.mean, problem.straight(fit)
+    off, within = kept - prior.mean, problem.nuisances_within_prior(fit)
     for nuisance, at in prior.places.items():
         if nuisance == REFERENCE_YAW:
             # Its constant, and its curves, by themselves.
@@ -42,7 +42,7 @@ def unbent(problem: Problem, fit: Fit, curves: bool = False) -> Fit:
         else:
             # How old readings are is another matter than the iron and the place that a gap may bend.
             aged2 = (off[at] / usual.age.sigma_s) ** 2 if nuisance == TELEMETRY_AGE else np.inf
-            bent = [] if straight or np.all(aged2 < least_gain(1)) else [at]
+            bent = [] if within or np.all(aged2 < least_gain(1)) else [at]
         for part in bent:
             kept[part] = prior.mean[part]
     return fit if np.array_equal(kept, fit.nuisances) else replace(fit, nuisances=kept)
@@ -122,7 +122,7 @@ class Search:
     def on(self, problem: Problem) -> Search:
         """Return a search of the same terms on other rows or under another noise, nothing explored yet."""
         other = Search(problem, (), self.criteria.kind)
-        other.terms, other.criteria.temper = self.terms, self.criteria.temper
+        other.terms, other.criteria.overdispersion = self.terms, self.criteria.overdispersion
         return other
 
     def forget(self) -> None:
@@ -146,12 +146,12 @@ class Search:
         if explained > min(usual.search.unexplained * noise, usual.search.hopeful * nearest):
             best = self._rounds(null, most, (), best)
         for turned in self._turned(null, best, turns):
-            before = self.criteria.temper
+            before = self.criteria.overdispersion
             rival = self._rounds(turned, most, turned.terms, turned)
             if self.criteria.score(rival) < self.criteria.score(best):
                 best = rival
             else:
-                self.criteria.temper = before
+                self.criteria.overdispersion = before
         best = self.polished(best)
         other = self._beside_one(best)
         if other is not best:
@@ -220,9 +220,9 @@ class Search:
         kept = Fit(first.terms, first.thetas) if held else Fit()
         smallest, best = first, first if best is None else best
         # How blocks contradict each other beside another start says nothing of this one.
-        self.criteria.temper = 1.0
+        self.criteria.overdispersion = 1.0
         for _ in range(rounds):
-            base = unbent(self.problem, best, curves=True)
+            base = nuisances_at_prior(self.problem, best, curves=True)
             candidates = self._linearised(base, held)
             sets = likeliest_sets(candidates, self.criteria, most - len(held))
             chosen = self._to_fit(candidates, sets, len(best.terms) - len(held))
@@ -230,7 +230,7 @@ class Search:
             self._remember(fits)
             if not self.criteria.exact and fits:
                 likeliest = min(fits, key=lambda f: f.sse)
-                self.criteria.temper = max(1.0, self.criteria.contradiction(smallest, likeliest))
+                self.criteria.overdispersion = max(1.0, self.criteria.overdispersion_of(smallest, likeliest))
             better = min(self._cheapest(smallest, most), best, key=self.criteria.score)
             same = better.ids == best.ids and better.sse > best.sse - usual.search.as_good
             best = min(better, best, key=lambda f: f.sse) if same else better
@@ -259,7 +259,7 @@ class Search:
         needed, (before, *expected) = 0, candidates.expected([(), *(ranked[0] for ranked in sets.values())])
         for (size, ranked), after in zip(sets.items(), expected, strict=True):
             least = self.criteria.cost(min(candidate.dimension for candidate in ranked[0]), 1)
-            if before - after > usual.search.hopeful * self.criteria.temper * least:
+            if before - after > usual.search.hopeful * self.criteria.overdispersion * least:
                 needed, before = size, after
         chosen: list[tuple[Candidate, ...]] = list(sets.get(needed, ()))
         for size in sets:

@@ -128,10 +128,10 @@ def _tuned(baseline: Replay) -> tuple[Trust | None, Problem, Fit]:
     trusting = Problem(baseline, noise, baseline.valid, prior_of(baseline, trust))
     believed = trusting.null(None if trust is None else fit)
     # Where the noise is tighter than what is left, a prior is strained by as much.
-    strain = trusting.strain(believed) / max(believed.sse / max(3 * trusting.count, 1), 1.0)
+    off2 = trusting.mahalanobis2(believed) / max(believed.sse / max(3 * trusting.count, 1), 1.0)
     worse = math.sqrt(max(_rms_left(trusting, believed) ** 2 - least**2, 0.0))
     material = 0.0 if baseline.reference.kind == "columns" else usual.baseline.material_mgauss
-    if worse <= max(material, usual.baseline.material_share * least) and strain <= usual.baseline.most_strain:
+    if worse <= max(material, usual.baseline.material_share * least) and off2 <= usual.baseline.most_strain:
         return trust, trusting, believed
     return ANOTHER_IRON, problem, fit
 

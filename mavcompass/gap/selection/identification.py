@@ -27,7 +27,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.detectors.detect import Detected
 from mavcompass.gap.fit.hypothesis import Fit, Mask
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.fit.search import Search, pruned, unbent
+from mavcompass.gap.fit.search import Search, nuisances_at_prior, pruned
 from mavcompass.gap.replay.noise import Noise
 from mavcompass.gap.replay.nominal import Replay
 from mavcompass.gap.residual.floor import (
@@ -65,7 +65,7 @@ class Explanation:
     fit: Fit
     cost: float
     apart: float
-    strain: float
+    mahalanobis2: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,7 +129,7 @@ def posterior_of(search: Search) -> Posterior:
     """Weigh the explored sets of a search, the likeliest of them fitted to the end."""
     problem, explored = search.problem, dict(search.explored)
     fullest = min(explored.values(), key=lambda fit: fit.sse)
-    spread = max(1.0, search.criteria.contradiction(Fit(), fullest)) if fullest.terms else 1.0
+    spread = max(1.0, search.criteria.overdispersion_of(Fit(), fullest)) if fullest.terms else 1.0
 
     def cost(fit: Fit) -> float:
         return search.criteria.score(fit, spread)
@@ -144,7 +144,7 @@ def posterior_of(search: Search) -> Posterior:
     for place, fit in enumerate(ranked):
         near = place < usual.search.refitted or not fit.terms
         apart = float(np.sum(problem.shift(problem.predict(fit), here) ** 2)) if near else math.inf
-        explanations.append(Explanation(fit, cost(fit), apart, problem.strain(fit)))
+        explanations.append(Explanation(fit, cost(fit), apart, problem.mahalanobis2(fit)))
     return Posterior(tuple(explanations), spread)
 
 
@@ -312,7 +312,7 @@ def _searched(
         if wider is floor:
             break
         floor = wider
-    null = unbent(problem, problem.null())
+    null = nuisances_at_prior(problem, problem.null())
     result = Identified(problem, split, null, posterior.best.fit, search, problem, posterior)
     result = _moments_in_training(result)
     result.search.forget()

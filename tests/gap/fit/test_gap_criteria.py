@@ -17,9 +17,9 @@ LAG, LOW_PASS, HARD_IRON = (registry.get(name) for name in ("transport_lag", "lo
 
 def criteria(spread: float) -> Criteria:
     """Return criteria of fits whose one number is what they strain; blocks contradict each other."""
-    problem: Any = SimpleNamespace(count=500, strain=lambda fit: float(fit.nuisances[0]))
+    problem: Any = SimpleNamespace(count=500, mahalanobis2=lambda fit: float(fit.nuisances[0]))
     found = Criteria(problem, "baseline")
-    found.temper = spread
+    found.overdispersion = spread
     return found
 
 

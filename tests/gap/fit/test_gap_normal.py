@@ -91,7 +91,7 @@ def contradictions(lasting: float) -> FloatArray:
             J, J @ [0.5, 1.0, -1.0, 2.0] + error, BLOCK, 1, np.eye(1), np.zeros(1), np.full(3, 1e3),
             np.ones(1, dtype=np.bool_),
         )  # fmt: skip
-        out.append(normal.contradiction(np.arange(3), np.array([1, 2])))
+        out.append(normal.overdispersion_of(np.arange(3), np.array([1, 2])))
     return np.array(out)
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from mavcompass.gap.fit.hypothesis import Fit, Term
 from mavcompass.gap.fit.model import Problem
-from mavcompass.gap.fit.search import Search, unbent
+from mavcompass.gap.fit.search import Search, nuisances_at_prior
 from mavcompass.gap.replay.nominal import replay
 from mavcompass.gap.replay.nuisance import AGE, WORLD_FIELD, Prior, reference_attitude_error
 from mavcompass.gap.tables import usual
@@ -38,13 +38,13 @@ def test_an_attitude_that_a_gap_has_bent_is_returned_to_what_is_known(
         count=500,
         prior=yaw,
         null=lambda: Fit((), (), bent, 100.0),
-        straight=lambda fit: False,
+        nuisances_within_prior=lambda fit: False,
     )
-    after = unbent(problem, problem.null(), curves=True).nuisances
+    after = nuisances_at_prior(problem, problem.null(), curves=True).nuisances
     assert after[0] == (bent[0] if kept[0] else 0.0)
     assert after[1:].tolist() == (bent[1:] if kept[1] else 0.0 * bent[1:]).tolist()
     # What is left without any effect is left beside the attitude that explains it best.
-    left = unbent(problem, problem.null()).nuisances
+    left = nuisances_at_prior(problem, problem.null()).nuisances
     assert left[1:].tolist() == bent[1:].tolist()
 
 
@@ -62,14 +62,16 @@ def test_how_old_readings_are_is_not_bent_back_with_the_rest(late: float, stays:
         count=500,
         prior=prior,
         null=lambda: Fit((), (), bent, 100.0),
-        straight=lambda fit: False,
+        nuisances_within_prior=lambda fit: False,
     )
-    kept = unbent(problem, problem.null()).nuisances
+    kept = nuisances_at_prior(problem, problem.null()).nuisances
     assert kept.tolist() == [0.0, 0.0, 0.0, bent[3] if stays else prior.mean[3]]
 
 
 def test_a_search_of_few_effects_names_no_more_whatever_was_explored() -> None:
-    problem: Any = SimpleNamespace(replay=SimpleNamespace(signals=None), count=500, strain=lambda fit: 0.0)
+    problem: Any = SimpleNamespace(
+        replay=SimpleNamespace(signals=None), count=500, mahalanobis2=lambda fit: 0.0
+    )
 
     def fit(left: float, *ids: str) -> Fit:
         one = np.ones(1, dtype=np.bool_)

@@ -33,7 +33,7 @@ class Problem:
     predictions: dict[frozenset[str], float]
     count: int = ROWS
 
-    def strain(self, fit: Fit) -> float:
+    def mahalanobis2(self, fit: Fit) -> float:
         return STRAIN
 
     def refit(self, fit: Fit) -> Fit:
@@ -51,7 +51,7 @@ def weighed(
 ) -> Posterior:
     problem: Any = Problem(predictions or {})
     criteria: Any = Criteria(problem, "baseline")
-    criteria.contradiction = lambda smaller, larger: spread
+    criteria.overdispersion_of = lambda smaller, larger: spread
     explored = {f.ids: f for f in (fit_of(sse=2000.0), *fits)}
     search: Any = SimpleNamespace(problem=problem, criteria=criteria, explored=explored)
     return posterior_of(search)

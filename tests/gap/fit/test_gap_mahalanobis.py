@@ -27,18 +27,18 @@ def bent(problem: Problem, sigmas: float) -> Fit:
 
 
 def test_what_is_where_it_is_known_to_be_is_no_surprise(problem: Problem) -> None:
-    assert problem.chance_of_strain(bent(problem, 0.0)) == 1.0
+    assert problem.chance_of_mahalanobis2(bent(problem, 0.0)) == 1.0
 
 
 def test_chance_bends_as_the_chi_squared_law_says(problem: Problem) -> None:
     known = int(problem.prior.known.sum())
     assert known > 0
-    chances = [problem.chance_of_strain(bent(problem, sigmas)) for sigmas in (0.5, 1.0, 2.0, 4.0)]
+    chances = [problem.chance_of_mahalanobis2(bent(problem, sigmas)) for sigmas in (0.5, 1.0, 2.0, 4.0)]
     assert chances == sorted(chances, reverse=True)
     # A draw of independent errors exceeds its own strain as often as it says.
     rng = np.random.default_rng(5)
     strains = np.sum(rng.standard_normal((4000, known)) ** 2, axis=1)
     for sigmas, told in zip((0.5, 1.0), chances, strict=False):
         fit = bent(problem, sigmas)
-        share = float(np.mean(strains > problem.strain(fit)))
+        share = float(np.mean(strains > problem.mahalanobis2(fit)))
         assert told == pytest.approx(share, abs=4.0 * math.sqrt(0.25 / 4000))
