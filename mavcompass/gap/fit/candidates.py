@@ -173,10 +173,8 @@ class Candidates:
         """Return the set with the values that its linear solution means, not fitted yet."""
         own = np.concatenate([c.columns for c in chosen]) if chosen else np.zeros(0, dtype=np.int64)
         solution = self.normal.solve(own)
-        thetas, at = list(held.thetas), 0
-        for candidate in chosen:
-            thetas.append(candidate.values(solution.values[at : at + candidate.columns.size]))
-            at += candidate.columns.size
+        each = np.split(solution.values, np.cumsum([c.columns.size for c in chosen[:-1]]))
+        thetas = [*held.thetas, *(c.values(own) for c, own in zip(chosen, each, strict=False))]
         prior = self.problem.prior
         nuisances = np.clip(self.base.nuisances + solution.nuisances, prior.lower, prior.upper)
         return Fit((*held.terms, *(c.term for c in chosen)), tuple(thetas), nuisances)

@@ -120,12 +120,9 @@ def coarse_step(raw_mgauss: FloatArray, valid: NDArray[np.bool_]) -> float:
     if least > _MOST_BINS:
         return 0.0
     length = min(max(8 * least, 1 << 14), _MOST_BINS)
-    inside: FloatArray | None = None
-    for column in field.T:
-        at = np.round(column / _BIN_MGAUSS).astype(np.int64) % length
-        wave = np.fft.rfft(np.bincount(at, minlength=length)).real / len(field)
-        inside = wave if inside is None else np.minimum(inside, wave)
-    assert inside is not None
+    bins = np.round(field.T / _BIN_MGAUSS).astype(np.int64) % length
+    counts = np.stack([np.bincount(at, minlength=length) for at in bins])
+    inside = np.fft.rfft(counts, axis=1).real.min(axis=0) / len(field)
     frequency = np.fft.rfftfreq(length, _BIN_MGAUSS)
     usable = (frequency >= 1.0 / usual.steps.coarsest_mgauss) & (frequency <= 1.0 / usual.steps.finest_mgauss)
     best = float(inside[usable].max(initial=0.0))

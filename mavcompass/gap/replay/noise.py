@@ -157,7 +157,6 @@ def _estimated(error: FloatArray, usable: NDArray[np.bool_], least_sigma: float)
     """Estimate noise that is alike in all columns of errors (N, k)."""
     rows = error[usable]
     rows = rows - rows.mean(axis=0)
-    width = error.shape[1]
     scale = np.maximum(rows.std(axis=0), least_sigma)
     most = usual.noise.lags if len(rows) > 200 else 1
     together = usable.copy()
@@ -165,35 +164,32 @@ def _estimated(error: FloatArray, usable: NDArray[np.bool_], least_sigma: float)
         together[lag:] &= usable[:-lag]
         together[:lag] = False
     index = np.flatnonzero(together)
-    if index.size < 50:
-        return SensorNoise(
-            np.zeros((0, width)), scale, scale, float(max(len(rows), 1)), moving=np.zeros(width)
-        )
-    z = (error - error[usable].mean(axis=0)) / scale
+    coefficients, moving, sigma, samples = np.zeros(0), 0.0, scale, max(len(rows), 1)
+    if index.size >= 50:
+        z = (error - error[usable].mean(axis=0)) / scale
+        criterion, coefficients, innovations = _of_few_lags(z, index, most)
+        slow = _wandering_part(z, usable, index)
+        if slow is not None and slow[0] < criterion:
+            coefficients, moving, innovations = np.array([slow[1]]), slow[2], slow[3]
+        sigma, samples = np.maximum(innovations.std(axis=0) * scale, least_sigma), index.size
+    width = error.shape[1]
+    repeated = np.repeat(coefficients[:, None], width, axis=1)
+    return SensorNoise(repeated, sigma, scale, float(samples), moving=np.full(width, moving))
+
+
+def _of_few_lags(z: FloatArray, index: NDArray[np.int64], most: int) -> tuple[float, FloatArray, FloatArray]:
+    """Return BIC, coefficients and innovations of the likeliest correlation over up to so many lags."""
     target = z[index].ravel()
     past = np.stack([z[index - lag].ravel() for lag in range(1, most + 1)], axis=1)
-    best = (target.size * np.log(max(np.mean(target**2), 1e-300)), np.zeros(0))
+    best = (float(target.size * np.log(max(float(np.mean(target**2)), 1e-300))), np.zeros(0))
     normal, right = past.T @ past, past.T @ target
     for order in range(1, most + 1):
         coefficients = np.linalg.solve(normal[:order, :order] + 1e-12 * np.eye(order), right[:order])
-        left = np.mean((target - past[:, :order] @ coefficients) ** 2)
-        criterion = target.size * np.log(max(left, 1e-300)) + 2.0 * order * np.log(target.size)
+        left = float(np.mean((target - past[:, :order] @ coefficients) ** 2))
+        criterion = float(target.size * np.log(max(left, 1e-300)) + 2.0 * order * np.log(target.size))
         if criterion < best[0]:
             best = (criterion, np.asarray(coefficients))
-    slow = _wandering_part(z, usable, index)
-    if slow is not None and slow[0] < best[0]:
-        _, correlation, moving, innovations = slow
-        sigma = np.maximum(innovations.std(axis=0) * scale, least_sigma)
-        return SensorNoise(
-            np.full((1, width), correlation), sigma, scale, float(index.size), moving=np.full(width, moving)
-        )
-    coefficients = best[1]
-    innovations = z[index] - sum(
-        (c * z[index - lag] for lag, c in enumerate(coefficients.tolist(), start=1)), np.zeros(width)
-    )
-    sigma = np.maximum(innovations.std(axis=0) * scale, least_sigma)
-    repeated = np.repeat(coefficients[:, None], width, axis=1)
-    return SensorNoise(repeated, sigma, scale, float(index.size), moving=np.zeros(width))
+    return *best, (target - past[:, : best[1].size] @ best[1]).reshape(index.size, -1)
 
 
 def _wandering_part(
