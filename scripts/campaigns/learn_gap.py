@@ -26,9 +26,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.answer.evidence import figures, statistics
 from mavcompass.gap.diagnose import examine, withheld_effects
 from mavcompass.gap.tables import KINDS, OUTCOMES, SCHEMA
-from mavcompass.gap.trial import cases as bench
-from mavcompass.gap.trial.cases import Label
-from mavcompass.gap.trial.foreign import case_of
+from mavcompass.gap.trial.cases import Label, case_of, draw_case
 from mavcompass.gap.trial.trial import Answer, score
 from mavcompass.installation.data_files import params_path
 
@@ -144,7 +142,7 @@ def examined(of: Wanted) -> Line | None:
     Of what is withheld the truth, and all that looks like it, may not be used.
     """
     if of.maker == "bench":
-        label, track, baseline = bench.draw_case(of.seed, of.index, of.tier)  # type: ignore[arg-type]
+        label, track, baseline = draw_case("bench", of.seed, of.index, of.tier)  # type: ignore[arg-type]
         cured = True
     else:
         case = case_of(of.maker, of.tier, of.seed + of.index)  # type: ignore[arg-type]

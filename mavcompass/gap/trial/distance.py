@@ -21,8 +21,16 @@ from mavcompass.gap.replay.nominal import half_testable, replay, untestable_effe
 from mavcompass.gap.replay.nuisance import REFERENCE_YAW, Prior
 from mavcompass.gap.replay.rows import compass_rows, shared_period_s
 from mavcompass.gap.residual.baseline import from_baseline
-from mavcompass.gap.trial.cases import CASE_NOISE, Label, affected, recipe_of, stimulus_of, to_track
-from mavcompass.gap.trial.foreign import case_of, shifts
+from mavcompass.gap.trial.cases import (
+    CASE_NOISE,
+    Label,
+    affected,
+    case_of,
+    recipe_of,
+    shifts,
+    stimulus_of,
+    to_track,
+)
 from mavcompass.simulation.effects import catalogue, parse
 from mavcompass.simulation.effects.effect import Effect, Signals
 
@@ -34,7 +42,7 @@ def apart(label: Label) -> tuple[Label, float, float, float]:
     catalogue's model of the truth stays from it; nan where there is none."""
     truth, separation, own, truth_distance = label.ids, math.nan, math.nan, math.nan
     of_vehicles = label.generator != "bench"
-    problem, others = (_foreign if of_vehicles else _bench)(label)
+    problem, others = (_of_others if of_vehicles else _bench)(label)
     if of_vehicles:
         label = replace(label, size_sigma=_size(problem))
     if shifts(truth):
@@ -55,7 +63,7 @@ def _bench(label: Label) -> tuple[Problem, list[Effect]]:
     return Problem(replayed, CASE_NOISE, replayed.valid, Prior()), list(catalogue().values())
 
 
-def _foreign(label: Label) -> tuple[Problem, list[Effect]]:
+def _of_others(label: Label) -> tuple[Problem, list[Effect]]:
     """Return the flight without noise, as the diagnosis would see it, and the effects that it could choose.
 
     The vehicle is as what is known of it has it, its attitude the true one, and the readings are changed by

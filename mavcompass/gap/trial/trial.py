@@ -21,14 +21,13 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.diagnose import diagnose_gap
 from mavcompass.gap.replay.nominal import replay
 from mavcompass.gap.result import plain
-from mavcompass.gap.trial import cases as bench
-from mavcompass.gap.trial import foreign
 from mavcompass.gap.trial.cases import (
     SHARES,
     Generator,
     Label,
     Tier,
     affected,
+    draw_case,
     recipe_of,
     stimulus_of,
     tracks_of,
@@ -279,7 +278,7 @@ def run_trial(
         raise UsageError(
             f"The generator {generator!r} has no tier {tier!r}.", f"Choose of {', '.join(SHARES[generator])}."
         )
-    draw = bench.draw_case if generator == "bench" else partial(foreign.draw_case, generator)
+    draw = partial(draw_case, generator)
     labels = [draw(seed, index, tier)[0] for index in range(cases)]
     text = json.dumps({"salt": secrets.token_hex(16), "labels": [asdict(label) for label in labels]})
     seal = hashlib.sha256(text.encode()).hexdigest()

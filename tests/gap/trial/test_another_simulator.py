@@ -10,9 +10,8 @@ import pytest
 
 import mavcompass.gap.trial.closed_form as closed_form
 from mavcompass.gap import diagnose_gap
-from mavcompass.gap.trial.cases import SHARES
+from mavcompass.gap.trial.cases import SHARES, case_of
 from mavcompass.gap.trial.closed_form import PLACES, make, quaternion, rotation_of, wave
-from mavcompass.gap.trial.foreign import another_case
 from mavcompass.gap.trial.trial import run_trial
 from mavcompass.logs.formats.csv.columns import KNOWN
 from mavcompass.simulation.effects import parse
@@ -82,7 +81,7 @@ def test_its_effects_have_the_catalogue_s_names_and_units(seed: int) -> None:
 
 
 def test_the_diagnosis_finds_in_it_what_was_put_in() -> None:
-    case = another_case(10, "single")
+    case = case_of("another", "single", 10)
     assert case.effects[0][0] == "hard_iron_step" and case.track.reference_q is None
     diagnosis = diagnose_gap(case.track, case.baseline)
     assert diagnosis.effects == {"hard_iron_step"} and diagnosis.field.after < 0.8 * diagnosis.field.nominal
