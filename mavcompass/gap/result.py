@@ -53,7 +53,7 @@ class Cause:
     removes_deg: float = 0.0
 
     @classmethod
-    def told(
+    def detected(
         cls, effect: str, values: Mapping[str, float], sigma: Mapping[str, float], removes_mgauss: float = 0.0
     ) -> Cause:
         """Describe an effect that was read off by itself: its values, with standard deviations if any."""
@@ -120,7 +120,7 @@ class Iron:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cured:
+class CalibrationInForce:
     """Hold the vehicle's iron as its calibration, and its baseline, describe it.
 
     Attributes:
@@ -165,8 +165,8 @@ class Cured:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Belief:
-    """Hold one explanation of a recording as a normal distribution over place, vehicle and effects.
+class PosteriorComponent:
+    """Hold one explanation of a recording, a normal distribution over place, vehicle and effects.
 
     The values are, one after the other: what the world's field is more than its model, north, east, down, mG;
     E of the vehicle's matrix A (1 + E), row by row; what its offset, mG, and its motors' field, mG per unit
@@ -189,7 +189,7 @@ class Belief:
         return plain(self) | {"covariance": self.covariance[np.tril_indices(self.mean.size)].tolist()}
 
     @classmethod
-    def from_json(cls, document: Mapping[str, Any]) -> Belief:
+    def from_json(cls, document: Mapping[str, Any]) -> PosteriorComponent:
         """Read what `to_json` wrote. Raises KeyError, TypeError or ValueError for anything else."""
         mean = np.array(document["mean"], dtype=np.float64)
         if len(document["covariance"]) != mean.size * (mean.size + 1) // 2:
@@ -258,8 +258,8 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     late_s: float | None = None
     corrected_rms_mgauss: float | None = None
-    in_force: Cured | None = None
-    beliefs: tuple[Belief, ...] = dataclasses.field(default=(), repr=False, compare=False)
+    in_force: CalibrationInForce | None = None
+    beliefs: tuple[PosteriorComponent, ...] = dataclasses.field(default=(), repr=False, compare=False)
     picture: Picture | None = dataclasses.field(default=None, repr=False, compare=False)
 
     @property

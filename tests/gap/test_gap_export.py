@@ -13,7 +13,7 @@ import pytest
 
 from mavcompass.frames import FloatArray, euler_to_matrix
 from mavcompass.gap.export import TARGETS, Found, found_in, known_to
-from mavcompass.gap.result import Belief, Cause, Cured, Iron
+from mavcompass.gap.result import CalibrationInForce, Cause, Iron, PosteriorComponent
 from mavcompass.simulation import effects
 from mavcompass.simulation.effects import catalogue
 from mavcompass.simulation.effects.effect import Distortion, Setting, Signals
@@ -183,7 +183,7 @@ def test_what_the_calibration_cures_is_added_to_what_was_found() -> None:
     none = Iron(np.eye(3), np.zeros(3), np.zeros(3))
     tuned = Iron(np.eye(3), np.array([4.0, 0.0, 9.0]), np.array([1.0, 2.0, -3.0]))
     taught = Iron(np.zeros((3, 3)), np.array([1.0, 0.0, 7.0]), np.array([0.5, 0.0, 0.0]))
-    iron = Cured(True, none, tuned, taught, "current", 1.0)
+    iron = CalibrationInForce(True, none, tuned, taught, "current", 1.0)
     cause = Cause("motor_current", {"x": 0.5, "y": -1.0, "z": 0.25}, {}, 1.0, ())
     diagnosis = SimpleNamespace(causes=(cause,), in_force=iron, beliefs=())
     offset, motors = vehicle_settings(diagnosis)  # type: ignore[arg-type]
@@ -215,9 +215,9 @@ def test_an_export_holds_a_motors_field_that_is_known_to_differ_from_zero(
         Iron(np.eye(3), np.array([one, one, one]), np.array([0.0, motor, 0.0]))
         for one, motor in ((0.0, calibrated), (1.0, told))
     )
-    iron = Cured(True, cures, tuned, none, "current", 1.0)
-    likely = Belief(0.9, (), (), np.zeros(18), sigma**2 * np.eye(18))
-    beliefs = (Belief(0.1, (), (), np.zeros(18), np.eye(18)), likely)
+    iron = CalibrationInForce(True, cures, tuned, none, "current", 1.0)
+    likely = PosteriorComponent(0.9, (), (), np.zeros(18), sigma**2 * np.eye(18))
+    beliefs = (PosteriorComponent(0.1, (), (), np.zeros(18), np.eye(18)), likely)
     diagnosis = SimpleNamespace(causes=(), in_force=iron, beliefs=beliefs)
     settings = {s.effect.id: s.theta for s in vehicle_settings(diagnosis)}  # type: ignore[arg-type]
     assert settings.keys() == ({"hard_iron"} if held is None else {"hard_iron", "motor_current"})
@@ -232,8 +232,8 @@ def test_an_export_holds_a_motors_field_that_is_known_to_differ_from_zero(
 def test_the_field_of_the_place_stays_where_an_effect_goes_with_places(
     effect: str, after: float, left2: float
 ) -> None:
-    unlikely = Belief(0.1, (), (), 9.0 * np.ones(18), np.eye(18))
-    likely = Belief(0.9, (), (), np.array([3.0, 0.0, 0.0, *[0.0] * 15]), np.eye(18))
+    unlikely = PosteriorComponent(0.1, (), (), 9.0 * np.ones(18), np.eye(18))
+    likely = PosteriorComponent(0.9, (), (), np.array([3.0, 0.0, 0.0, *[0.0] * 15]), np.eye(18))
     diagnosis = SimpleNamespace(
         causes=(), in_force=None, beliefs=(unlikely, likely), effects={effect}, waterfall=(),
         field=SimpleNamespace(nominal=6.0, after=after, floor=math.sqrt(3.0), shrink=0.9),

@@ -93,16 +93,16 @@ def decide(evidence: Evidence) -> Answer:
     known_sets = ((fit.ids, outcomes["whole"] + outcomes["part"]), *posterior.weights(outcomes["other"]))
     where = evidence.goodness.where if said in ("unknown", "named_with_remainder") else None
     if said in ("named", "ambiguous", "named_with_remainder"):
-        return Answer(said, fit, field, heading, _told(known_sets), where, wander_deg)
+        return Answer(said, fit, field, heading, _ambiguity_set(known_sets), where, wander_deg)
     if said == "unknown" and (evidence.faults or evidence.detected.causes):
         # What single readings show by themselves is named, whatever else there is.
         both = figures(evidence, none, with_scatter=True)
         sets = ((none.ids, 1.0 - outcomes["unknown"]),)
         return Answer("named_with_remainder", none, *both, sets, where)
-    return Answer(said, none, *alone, _told([one for one in known_sets if one[0]]), where)
+    return Answer(said, none, *alone, _ambiguity_set([one for one in known_sets if one[0]]), where)
 
 
-def _told(sets: Sequence[tuple[frozenset[str], float]]) -> Sets:
+def _ambiguity_set(sets: Sequence[tuple[frozenset[str], float]]) -> Sets:
     """Return the smallest set of sets that holds as much of what all of them do as is told, the likeliest
     first."""
     least, held, out = tables().levels.held * sum(weight for _, weight in sets), 0.0, []

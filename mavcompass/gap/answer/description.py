@@ -28,12 +28,12 @@ from mavcompass.gap.result import (
     MATRIX,
     MOTOR,
     OFFSET,
-    Belief,
-    Cured,
+    CalibrationInForce,
     Diagnosis,
     Iron,
     Picture,
     Place,
+    PosteriorComponent,
 )
 from mavcompass.gap.selection.identification import Identified
 from mavcompass.gap.tables import usual
@@ -45,7 +45,7 @@ _PLACES = {WORLD_FIELD.id: FIELD, IRON_MATRIX: MATRIX, IRON_OFFSET: slice(OFFSET
 
 def beliefs(
     identified: Identified, named: Fit, sets: Sequence[tuple[frozenset[str], float]]
-) -> tuple[Belief, ...]:
+) -> tuple[PosteriorComponent, ...]:
     """Return the answer as a distribution; of several `sets` each by its weight."""
     problem = identified.problem
     chosen = [(1.0, named)]
@@ -56,7 +56,7 @@ def beliefs(
     return tuple(_belief(problem, weight / total, fit) for weight, fit in chosen)
 
 
-def _belief(problem: Problem, weight: float, fit: Fit) -> Belief:
+def _belief(problem: Problem, weight: float, fit: Fit) -> PosteriorComponent:
     values = [np.zeros(EFFECTS), *fit.thetas]
     starts = np.cumsum([0, *(v.size for v in values)])
     mean = np.concatenate(values)
@@ -75,7 +75,7 @@ def _belief(problem: Problem, weight: float, fit: Fit) -> Belief:
     places = np.array(rows, dtype=np.int64)[kept]
     covariance[np.ix_(places, places)] = problem.lasting_covariance(fit)[np.ix_(kept, kept)]
     from_usual = _from_no_load(mean.size, float(problem.replay.iron.load.mean()))
-    return Belief(
+    return PosteriorComponent(
         weight,
         tuple(term.effect.id for term in fit.terms),
         tuple(starts[1:-1].tolist()),
@@ -91,7 +91,7 @@ def _from_no_load(size: int, usual_load: float) -> FloatArray:
     return out
 
 
-def cured_iron(problem: Problem, fit: Fit, floor: Floor) -> Cured:
+def cured_iron(problem: Problem, fit: Fit, floor: Floor) -> CalibrationInForce:
     """Collect what the calibration in force cures, and what a fit found it to be."""
     iron = problem.replay.iron
     values, taught = problem.values(fit), problem.values(Fit(nuisances=problem.prior.mean))
@@ -105,7 +105,7 @@ def cured_iron(problem: Problem, fit: Fit, floor: Floor) -> Cured:
     doubted = np.zeros(12) if trust is None else iron.sigma(trust)
     sigma = math.hypot(rms(doubted[:3]), rms(doubted[3:]) * total) / level
     none = Iron(np.eye(3), np.zeros(3), np.zeros(3))
-    return Cured(
+    return CalibrationInForce(
         calibrated=iron.calibrated,
         cures=iron,
         # Beside a baseline without a calibration the nominal simulation has no iron: all is among the causes.

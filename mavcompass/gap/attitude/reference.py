@@ -247,7 +247,7 @@ def _fused(
     )
 
 
-def told_rotation(attitude_rad: Series, time_s: FloatArray) -> FloatArray:
+def recorded_rotation(attitude_rad: Series, time_s: FloatArray) -> FloatArray:
     """Return the autopilot's attitude (roll, pitch, yaw) at other times, as rotations (N, 3, 3)."""
     when, first = np.unique(attitude_rad.time_s, return_index=True)
     roll, pitch, yaw = attitude_rad.values[first].T
@@ -275,7 +275,7 @@ def _autopilot_rotation(track: Track, clock: FloatArray) -> FloatArray | None:
         or when[-1] < clock[-1] - 1.0
     ):
         return None
-    return told_rotation(series, clock)
+    return recorded_rotation(series, clock)
 
 
 def _ahead(rotation: FloatArray, other: FloatArray) -> FloatArray:
@@ -304,7 +304,7 @@ def _attitude(track: Track, time_s: FloatArray, instance: int, doubted: slice) -
     if track.attitude_rad is None or len(track.attitude_rad) < 8:
         return None
     clock = np.unique(track.attitude_rad.time_s)
-    rotation = told_rotation(track.attitude_rad, time_s)
+    rotation = recorded_rotation(track.attitude_rad, time_s)
     rate = body_rate(time_s, rotation)
     if track.gyro_radps is not None and len(track.gyro_radps) > 8:
         rate = track.gyro_radps.at(time_s)

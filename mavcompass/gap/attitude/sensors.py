@@ -85,7 +85,7 @@ def sensor_faults(now: Mapping[Detector, Bias], before: Mapping[Detector, Bias])
         change, sigma = here.mean - there.mean, np.hypot(here.sigma, there.sigma)
         if np.abs(change).max() >= effect.daily and float(np.sum((change / sigma) ** 2)) >= _IMPROBABLE:
             values, doubts = (dict(zip("xyz", column.tolist(), strict=True)) for column in (change, sigma))
-            out.append(Cause.told(effect.id, values, doubts))
+            out.append(Cause.detected(effect.id, values, doubts))
     return tuple(sorted(out, key=lambda cause: cause.effect))
 
 

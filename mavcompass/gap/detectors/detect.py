@@ -114,7 +114,7 @@ def _steps_of(replay: Replay) -> tuple[float, float]:
     return replay.trace.step_mgauss, replay.resolution_mgauss
 
 
-def told_step(replay: Replay) -> tuple[float, float]:
+def estimated_step(replay: Replay) -> tuple[float, float]:
     """Return the step of the numbers and its sigma, mG: levels against how many steps they are.
 
     What rounding makes of a level it makes of each reading there: a level counts once.
@@ -137,7 +137,7 @@ def told_step(replay: Replay) -> tuple[float, float]:
     return fitted, math.sqrt(float(np.sum((field - fitted * count) ** 2)) / free / square)
 
 
-def stale_doubt(replay: Replay, share: float) -> float:
+def stale_sigma(replay: Replay, share: float) -> float:
     """Return the sigma of a share of readings that repeat, each by chance."""
     count = replay.trace.fresh_s.size / max(1.0 - share, 1e-3)
     return math.sqrt(share * (1.0 - share) / max(count, 1.0))
@@ -189,7 +189,7 @@ def detect(
     search finds by itself what changes from reading to reading.
     """
     stale = stale_share(replay, baseline) if names_stale(replay, baseline) else 0.0
-    step, step_doubt = told_step(replay) if names_step(replay, baseline, noise_mgauss) else (0.0, 0.0)
+    step, step_doubt = estimated_step(replay) if names_step(replay, baseline, noise_mgauss) else (0.0, 0.0)
     readings, before = replay.readings, None if baseline is None else baseline.readings
     rapid: tuple[Rapid, ...] = ()
     if step == 0.0 and not (exact and replay.averaged == 1):
@@ -213,11 +213,11 @@ def detect(
     step = step if steps.id in names else 0.0
     if stale > 0.0:
         name = repeats.names[0]
-        causes.append(Cause.told(repeats.id, {name: stale}, {name: stale_doubt(replay, stale)}))
+        causes.append(Cause.detected(repeats.id, {name: stale}, {name: stale_sigma(replay, stale)}))
     if step > 0.0:
         name = steps.names[0]
-        causes.append(Cause.told(steps.id, {name: step}, {name: step_doubt}, step / math.sqrt(12.0)))
-    causes += [Cause.told(r.effect, r.parameters, r.sigma, math.sqrt(r.variance_mgauss2)) for r in rapid]
+        causes.append(Cause.detected(steps.id, {name: step}, {name: step_doubt}, step / math.sqrt(12.0)))
+    causes += [Cause.detected(r.effect, r.parameters, r.sigma, math.sqrt(r.variance_mgauss2)) for r in rapid]
     if before is not None and burst_mgauss(readings, before) > usual.rapid.material * floor_mgauss:
         unexplained = "time"
     return Detected(stale, step, rapid, excess, unexplained, tuple(causes)), replay

@@ -12,7 +12,7 @@ from mavcompass.chance import chi_square_of
 from mavcompass.correction import IDENTITY
 from mavcompass.frames import FloatArray
 from mavcompass.gap.replay.nuisance import known_iron
-from mavcompass.gap.result import FIELD, MOTOR, Belief, Cause, Diagnosis, Iron
+from mavcompass.gap.result import FIELD, MOTOR, Cause, Diagnosis, Iron, PosteriorComponent
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects import Setting, get
 from mavcompass.simulation.effects.effect import Distortion, Signals
@@ -56,7 +56,7 @@ def vehicle_settings(diagnosis: Diagnosis, beside_simulator: bool = False) -> li
     return _summed([*_iron(Iron(matrix, offset, motor)), *causes])
 
 
-def _is_known(motor_mgauss: FloatArray, beliefs: Sequence[Belief]) -> bool:
+def _is_known(motor_mgauss: FloatArray, beliefs: Sequence[PosteriorComponent]) -> bool:
     """Tell whether a field of the motors beside the calibration's differs from zero, by the likeliest belief.
 
     A vehicle that draws hardly any current shows the noise of its compass there.

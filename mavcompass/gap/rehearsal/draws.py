@@ -15,7 +15,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.export.vehicle import affine_map
 from mavcompass.gap.rehearsal.kind import Kind
 from mavcompass.gap.replay.nuisance import KnownIron
-from mavcompass.gap.result import MATRIX, MOTOR, OFFSET, Belief, Diagnosis, Iron
+from mavcompass.gap.result import MATRIX, MOTOR, OFFSET, Diagnosis, Iron, PosteriorComponent
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects import Setting, get
 from mavcompass.simulation.effects.effect import Distortion
@@ -44,7 +44,7 @@ def iron_settings(iron: Iron, load: FloatArray) -> list[Setting]:
     return [Setting(effect, effect.default) for effect in known.effects()]
 
 
-def effects_in(belief: Belief, values: FloatArray) -> list[Setting]:
+def effects_in(belief: PosteriorComponent, values: FloatArray) -> list[Setting]:
     """Return the effects of a belief with values (P,) in the order of its mean, inside their ranges."""
     out = []
     for effect, at in zip(map(get, belief.effects), belief.places, strict=True):
@@ -189,7 +189,7 @@ def _chances(rng: np.random.Generator, count: int) -> dict[str, FloatArray]:
     return {NOISE: noise, QUANTISATION: quantisation, TILT: tilt, GYRO: gyro}
 
 
-def _crossed(kind: Kind, belief: Belief) -> list[float]:
+def _crossed(kind: Kind, belief: PosteriorComponent) -> list[float]:
     """Return how probable horizontal and vertical cross terms are, by the prior that the fit has too.
 
     Before anything is known a quarter of the compasses have some, of a certain size; what the recording
@@ -208,7 +208,7 @@ def _crossed(kind: Kind, belief: Belief) -> list[float]:
     return out
 
 
-def _loaded(kind: Kind, belief: Belief) -> float:
+def _loaded(kind: Kind, belief: PosteriorComponent) -> float:
     """Return how probable a field of the motors is that is neither found nor known to the calibration.
 
     What a recording leaves open of it is more than vehicles have: a doubt of every one, it would be told as

@@ -23,7 +23,7 @@ from mavcompass.gap.attitude.reference import Choice
 from mavcompass.gap.replay.nominal import Replay, replay
 from mavcompass.gap.replay.nuisance import KnownIron
 from mavcompass.gap.result import SCHEMA as DIAGNOSIS_SCHEMA
-from mavcompass.gap.result import Belief, Cause, Diagnosis, Verdict
+from mavcompass.gap.result import Cause, Diagnosis, PosteriorComponent, Verdict
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects import get
 from mavcompass.simulation.physics.signals import Stimulus
@@ -38,7 +38,7 @@ class Stored:
     compass: int
     verdict: Verdict
     causes: tuple[Cause, ...]
-    beliefs: tuple[Belief, ...]
+    beliefs: tuple[PosteriorComponent, ...]
 
 
 def read_stored(path: Path) -> Stored:
@@ -56,7 +56,7 @@ def read_stored(path: Path) -> Stored:
             compass=document["compass"],
             verdict=document["verdict"],
             causes=tuple(map(_cause, document["causes"])),
-            beliefs=tuple(map(Belief.from_json, document["beliefs"])),
+            beliefs=tuple(map(PosteriorComponent.from_json, document["beliefs"])),
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise UsageError(
@@ -168,7 +168,7 @@ class Kind:
         turns: how surely the angle between two stances is known.
     """
 
-    beliefs: tuple[Belief, ...]
+    beliefs: tuple[PosteriorComponent, ...]
     faults: tuple[Cause, ...]
     iron: KnownIron
     field_ned_mgauss: FloatArray
@@ -203,7 +203,7 @@ def kind_of(track: Track, diagnosis: Diagnosis | Stored, reference: Choice = "au
     level = float(np.hypot(field[0], field[1]))
     stances = stances_of(track, diagnosis.compass, record, level, float(field[2]))
     named = {effect for belief in diagnosis.beliefs for effect in belief.effects}
-    told = [_told(belief, replayed, earth) for belief in diagnosis.beliefs]
+    told = [_with_field_held(belief, replayed, earth) for belief in diagnosis.beliefs]
     middles = np.array([0.5 * (stance.start_s + stance.end_s) for stance in stances])
     nearest = np.clip(np.searchsorted(stimulus.time_s, middles), 0, stimulus.time_s.size - 1)
     return Kind(
@@ -225,7 +225,9 @@ def rows_of(stimulus: Stimulus, rows: np.ndarray) -> Stimulus:
     return Stimulus(*(getattr(stimulus, name)[rows] for name in Stimulus.__slots__))
 
 
-def _told(belief: Belief, replayed: Replay, earth: EarthField | None) -> Belief:
+def _with_field_held(
+    belief: PosteriorComponent, replayed: Replay, earth: EarthField | None
+) -> PosteriorComponent:
     """Hold the field to what the world model leaves open where the recording told nothing of it.
 
     Where a vehicle does not turn, or its place is unknown, the field and the vehicle's offset cannot be told

@@ -295,7 +295,7 @@ class Scatter:
     def cause(self) -> Cause:
         """Return it as it is named."""
         name, removes = get(self.effect).names[0], self.size if self.white else 0.0
-        return Cause.told(self.effect, {name: self.size}, {name: self.doubt}, removes)
+        return Cause.detected(self.effect, {name: self.size}, {name: self.doubt}, removes)
 
     @property
     def white(self) -> bool:

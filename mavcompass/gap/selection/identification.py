@@ -43,9 +43,9 @@ from mavcompass.gap.selection.split import (
     Split,
     moments,
     probe,
+    said_of,
     switched,
     switches,
-    told,
     transients,
     with_moments,
     with_windows,
@@ -264,7 +264,7 @@ def identify(
         if aside.sum() - known.sum() <= (usual.change.few * aside.size if again else 0):
             break
         known = aside
-        notes = (*replay.notes, *told(replay, changing, switching))
+        notes = (*replay.notes, *said_of(replay, changing, switching))
         fewer = replace(replay, valid=replay.valid & ~aside, notes=notes)
         calm = replace(split, train=split.train & ~aside, test=split.test & ~aside)
         start = floor

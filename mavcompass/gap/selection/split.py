@@ -191,7 +191,7 @@ def between_rows(problem: Problem, moment_s: float) -> tuple[float, float]:
     return low, float(time[place]) if place < time.size else moment_s
 
 
-def told(replay: Replay, aside: Mask, switching: Mask) -> tuple[str, ...]:
+def said_of(replay: Replay, aside: Mask, switching: Mask) -> tuple[str, ...]:
     """Say in words which stretches were set aside because something was changing or switched."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], aside.astype(np.int8), [0]])))
     often = (

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mavcompass.frames import FloatArray
-from mavcompass.gap.detectors.detect import stale_doubt, told_step
+from mavcompass.gap.detectors.detect import estimated_step, stale_sigma
 from mavcompass.gap.detectors.rapid import burst_mgauss, excess_variance, find_rapid
 from mavcompass.gap.replay.integrity import Readings
 
@@ -64,7 +64,7 @@ def _coarse(step: float, told: float, seed: int) -> Any:
 @pytest.mark.parametrize("step", [6.4, 10.0, 21.676])
 def test_step_is_told_by_how_many_of_them_readings_are(step: float) -> None:
     for seed in range(5):
-        found, sigma = told_step(_coarse(step, step * 1.0003, seed))
+        found, sigma = estimated_step(_coarse(step, step * 1.0003, seed))
         assert found == pytest.approx(step, abs=max(4.0 * sigma, 1e-9))
         assert sigma < 1e-3 * step
 
@@ -74,8 +74,8 @@ def test_share_of_repeats_scatters_as_chance_has_it() -> None:
     for share in (0.05, 0.4):
         stale = rng.random((400, 600)) < share
         replay: Any = SimpleNamespace(trace=SimpleNamespace(fresh_s=np.zeros(round(600 * (1.0 - share)))))
-        assert float(stale.mean(axis=1).std()) == pytest.approx(stale_doubt(replay, share), rel=0.15)
-    assert stale_doubt(replay, 0.0) == 0.0
+        assert float(stale.mean(axis=1).std()) == pytest.approx(stale_sigma(replay, share), rel=0.15)
+    assert stale_sigma(replay, 0.0) == 0.0
 
 
 def scattered(seed: int, bursts_mgauss: float, turns: bool = False, late_s: float = 0.0) -> Readings:
