@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 # At most so many lines now, and where they should get to. A number here falls with its room; who raises one
 # says why in the commit.
 LINES = {
-    "package gap": (13_413, 10_500),
+    "package gap": (13_415, 10_500),
     "package simulation": (7_907, 5_800),
     "package attitude calibration heading": (9_125, 5_400),
     "package vehicle messages enums.py": (7_740, 5_200),
@@ -18,8 +18,8 @@ LINES = {
     "package service": (5_285, 4_100),
     "package logs": (4_497, 3_600),
     "package cli": (3_991, 2_900),
-    "package": (65_762, 46_500),
-    "tests": (42_771, 29_000),
+    "package": (65_764, 46_500),
+    "tests": (42_772, 29_000),
     "scripts benchmarks/compassbench": (1_565, 1_000),
     "scripts": (10_079, 4_400),
 }

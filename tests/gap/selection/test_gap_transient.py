@@ -184,12 +184,12 @@ def test_what_was_set_aside_is_told_stretch_by_stretch() -> None:
     replay: Any = SimpleNamespace(time_s=TIME)
     rows = ((TIME > 1.99) & (TIME < 3.01)) | (TIME > 18.99)
     never = 0 * rows == 1
-    first, second = transient.told(replay, rows, never)
+    first, second = transient.said_of(replay, rows, never)
     assert first.startswith("From 2.0 to 3.0 s something changes faster") and second.startswith(
         "From 19.0 to 20.0"
     )
-    assert transient.told(replay, never, never) == ()
-    (often,) = transient.told(replay, never, rows)
+    assert transient.said_of(replay, never, never) == ()
+    (often,) = transient.said_of(replay, never, rows)
     assert often.startswith("While something is switched") and f" {rows.sum()} of 400 " in often
 
 
