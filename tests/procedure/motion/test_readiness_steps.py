@@ -232,4 +232,5 @@ def test_a_mode_that_is_refused_is_told() -> None:
     stubborn.mode, stubborn.takes_modes, stubborn.result = int(CopterMode.LOITER), False, MavResult.DENIED
     stubborn.tell()
     error = stubborn.makes_ready().error
-    assert isinstance(error, Refused) and error.what == "The vehicle refused the flight mode GUIDED."
+    assert isinstance(error, Refused)
+    assert error.what == "The vehicle refused the flight mode GUIDED. It said: too windy."
