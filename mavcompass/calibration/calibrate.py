@@ -13,7 +13,6 @@ import numpy as np
 from mavcompass.blas import single_thread
 from mavcompass.calibration.judge import Case, judge
 from mavcompass.calibration.methods import find_method
-from mavcompass.calibration.methods.running import Learnt, learn
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import DEFAULT_LIMITS, CalibrationResult, Limits, OwnFinding, TrueHeading
 from mavcompass.compass_parameters import values
@@ -27,8 +26,6 @@ from mavcompass.track import Series, Track
 
 _DEAD_SWING_MGAUSS = 3.0
 _TURNED_RAD = math.radians(45.0)
-# Tried where another method refused.
-_OTHERS = ("four-positions", "world-field", "ellipsoid")
 _T = TypeVar("_T")
 NOTHING_FOUND: Mapping[int, OwnFinding] = MappingProxyType({})
 
@@ -108,42 +105,24 @@ def calibrate_compasses(
 
     track, ended = _within_range(track)
     results, refusals = _each(track, {*chosen, *track.compasses}, solved)
-    refused = [refusals[i] for i in chosen if i in refusals]
-    wrong = [refusal for refusal in refused if not isinstance(refusal, PoorCalibration)]
-    if wrong or (chosen and len(refused) == len(chosen)):
-        raise (wrong or refused)[0]
+    unsolved = [refusals[i] for i in chosen if i in refusals]
+    wrong = [refusal for refusal in unsolved if not isinstance(refusal, PoorCalibration)]
+    if wrong or (chosen and len(unsolved) == len(chosen)):
+        raise (wrong or unsolved)[0]
     case = Case(track, results, world, limits, solved, windows)
     judged: dict[int, CalibrationResult] = {}
     for i in chosen:
         if i in refusals:
-            judged[i] = _refused(track, method, i, refusals[i])
+            judged[i] = refused(track, method, i, refusals[i])
             continue
         result = judge(case, results[i])
         if turn and result.mounting.mended is not None:
             judged[i] = result.mounting.mended
             continue
-        if not result.accepted and windows is None and method != "auto":
-            recorded = Recorded(track, i, world, limits)
-            result = replace(result, warnings=(*result.warnings, *_would_do(recorded, result.method)))
         if i in ended:
             result = replace(result, warnings=(ended[i], *result.warnings))
         judged[i] = with_parameters(result, track)
     return judged
-
-
-@single_thread()
-def learn_compasses(
-    track: Track, instances: tuple[int, ...], earth: EarthField | None, limits: Limits = DEFAULT_LIMITS
-) -> dict[int, Learnt | MavCompassError]:
-    """Tell what some minutes of work show of compasses, or why they show nothing of one."""
-    track, _ = _within_range(track)
-    learnt, refusals = _each(track, instances, lambda of, i: learn(Recorded(of, i, earth, limits)))
-    results = {i: one.result for i, one in learnt.items()}
-    case = Case(track, results, earth, limits, lambda of, i: learn(Recorded(of, i, earth, limits)).result)
-    found: dict[int, Learnt | MavCompassError] = {**refusals}
-    for i, one in learnt.items():
-        found[i] = replace(one, result=with_parameters(judge(case, one.result), track))
-    return {i: found[i] for i in instances}
 
 
 def _each(
@@ -177,21 +156,7 @@ def _within_range(track: Track) -> tuple[Track, dict[int, str]]:
     return replace(track, compasses=within), said
 
 
-def _would_do(recorded: Recorded, refused: str) -> tuple[str, ...]:
-    """Name the methods that would accept what one refused."""
-    said: list[str] = []
-    for name in _OTHERS:
-        try:
-            other = find_method(name)(recorded) if name != refused else None
-        except PoorCalibration:
-            continue
-        if other is not None and other.accepted:
-            within = f"heading within {other.heading_sigma_deg:.1f} deg"
-            said.append(f"--method {name} would accept this recording: {within}.")
-    return tuple(said)
-
-
-def _refused(track: Track, method: str, instance: int, refusal: MavCompassError) -> CalibrationResult:
+def refused(track: Track, method: str, instance: int, refusal: MavCompassError) -> CalibrationResult:
     """Keep what is in force for a compass that the recording cannot calibrate."""
     in_force = Recorded(track, instance).in_force
     return CalibrationResult(

@@ -20,6 +20,8 @@ BEYOND_CHANCE = 3.0
 UNCERTAIN = "The heading would be uncertain"
 # What no further position lowers.
 _NOT_AVERAGED = (ACCELEROMETER, "disagreement")
+# A smaller change of the iron may be an error of the attitude.
+_IRON_MGAUSS = 15.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +125,31 @@ class Mounting:
         return {"seen": self.seen, "angle_deg": self.angle_deg, "setting": dict(self.setting)}
 
 
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Say that what was recorded before a time does not fit the rest, and by how much the iron differed."""
+
+    time_s: float
+    moved_mgauss: float
+
+    @property
+    def is_iron(self) -> bool:
+        """Tell whether iron aboard was moved; else it may be manoeuvres, or something that passed."""
+        return self.moved_mgauss > _IRON_MGAUSS
+
+    def words(self) -> str:
+        """Say it in a sentence."""
+        if self.is_iron:
+            return (
+                f"The iron changed by about {self.moved_mgauss:.0f} mG at {self.time_s:.0f} s: only what was "
+                "recorded after it counts."
+            )
+        return (
+            f"What was recorded before {self.time_s:.0f} s does not fit the rest (hard manoeuvres, or "
+            "something magnetic nearby): only what came after counts."
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationResult:
     """Hold one compass's calibration.
@@ -148,6 +175,8 @@ class CalibrationResult:
         mounting: what is known of it.
         already_right: True where the values in force are no worse beyond the new ones' sigma.
         true_heading: that was given; at it every such calibration agrees, whatever is true.
+        not_seen_deg: twelfths of the circle that a drive did not point to, by their first magnetic heading.
+        changed: when the iron last changed in a drive, None where it did not; only what came after counts.
         parameters: the autopilot's parameters that put the correction in force.
     """
 
@@ -176,7 +205,18 @@ class CalibrationResult:
     mounting: Mounting = field(default_factory=Mounting)
     already_right: bool = False
     true_heading: TrueHeading | None = None
+    not_seen_deg: tuple[int, ...] = ()
+    changed: Change | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def sure_gain_deg(self) -> float:
+        """Return by how much at least it lowers the heading error in force, at three sigmas; 0 if unsure."""
+        return (
+            max(self.heading_change_deg - BEYOND_CHANCE * self.heading_sigma_deg, 0.0)
+            if self.accepted
+            else 0.0
+        )
 
     @property
     def raw_offset_mgauss(self) -> FloatArray:

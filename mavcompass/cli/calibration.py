@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mavcompass import api
-from mavcompass.calibration import Limits, calibrate_compasses
+from mavcompass.calibration import Limits, calibrate_compasses, calibrate_track
 from mavcompass.calibration.result import CalibrationResult, summary
 from mavcompass.cli.options import Output
 from mavcompass.cli.terminal.colour import styled
@@ -33,6 +34,8 @@ NOT_ACCEPTED = 5
 # Written and proven, but the autopilot still steers by another heading.
 STEERS_OFF = 8
 SCHEMA = "mavcompass.calibrations/1"
+# Tried where another method refused.
+_OTHERS = ("four-positions", "world-field", "ellipsoid")
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +113,7 @@ def solve_recording(wanted: Results, settings: CalibrateSettings, in_force_file:
     except PoorCalibration as error:
         output.write_json(wanted.refused(settings, error, chosen, track))
         raise
-    results = list(found.values())
+    results = [_with_others(track, result, settings) for result in found.values()]
     for note in track.notes:
         output.say(f"Note: {note}")
     for result in results:
@@ -127,6 +130,21 @@ def solve_recording(wanted: Results, settings: CalibrateSettings, in_force_file:
         write_recording_report(track, results, wanted.report_file)
         output.say(f"Report: {wanted.report_file}")
     return 0 if accepted else NOT_ACCEPTED
+
+
+def _with_others(track: Track, result: CalibrationResult, settings: CalibrateSettings) -> CalibrationResult:
+    """Name, beside a refusal by a method that was chosen, the methods that would accept the recording."""
+    if result.accepted or settings.method == "auto":
+        return result
+    said: list[str] = []
+    for name in _OTHERS:
+        with suppress(PoorCalibration):
+            limits = Limits(heading_deg=settings.max_heading_error_deg)
+            other = calibrate_track(track, name, result.instance, limits=limits)
+            if other.accepted:
+                within = f"heading within {other.heading_sigma_deg:.1f} deg"
+                said.append(f"--method {name} would accept this recording: {within}.")
+    return replace(result, warnings=(*result.warnings, *said))
 
 
 def _read(source: str, in_force_file: Path | None) -> Track:

@@ -190,7 +190,7 @@ class Station:
 
     def _hear_other(self, link: Link, heard: Incoming) -> None:
         """Take a message of anybody but the vehicle: a command, or the vehicle's first heartbeat."""
-        offered = [lesson.instance for lesson in self.learning.offers()]
+        offered = [result.instance for result in self.learning.offers()]
         self._ground_stations.hear_command(link, self.view, heard, offered)
         if self.view is not None:
             return

@@ -38,10 +38,9 @@ from door_situations import OTHERS, PARAMETERS, UNSEEN, Situation, Wire, drawn, 
 
 from mavcompass import messages as mav
 from mavcompass.api import calibrate, read_track
-from mavcompass.calibration.calibrate import learn_compasses
+from mavcompass.calibration import calibrate_compasses
 from mavcompass.cli.main import main as command
 from mavcompass.correction import FieldCorrection
-from mavcompass.earth_field import earth_field_of
 from mavcompass.errors import BadRecording, MavCompassError
 from mavcompass.fleet.examine import Job, examine
 from mavcompass.logs import write_track_csv
@@ -123,11 +122,8 @@ def by_table(path: Path) -> Entry:
 
 def learnt(path: Path) -> Entry:
     """Ask what a service learns of a vehicle that is turned about."""
-    track = read_track(path)
-    found = learn_compasses(track, tuple(track.compasses), earth_field_of(track))[1]
-    if isinstance(found, MavCompassError):
-        raise found
-    return found.result.to_json()
+    entry: Entry = calibrate_compasses(read_track(path), "running")[1].to_json()
+    return entry
 
 
 ITSELF, BY_HAND, ABOUT = "turns itself", "by hand", "turned about"

@@ -26,7 +26,7 @@ import numpy as np
 from campaign import ended, options
 from made_up import EARTH, SCENARIOS, Truth, errors_deg, rocking, vehicle_of
 
-from mavcompass.calibration.methods.running import WINDOW_S, learn
+from mavcompass.calibration.methods.running import WINDOW_S, calibrate
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import Limits
 from mavcompass.correction import FieldCorrection
@@ -193,11 +193,10 @@ def drive(rng: np.random.Generator, off_deg: float, kind: str, tally: Tally) -> 
         compass = replace(part.compasses[1], not_applied=force)
         part = replace(part, compasses={1: compass})
         try:
-            learnt = learn(Recorded(part, 1, EARTH, Limits(SURE_DEG, by_motion=True)))
+            result = calibrate(Recorded(part, 1, EARTH, Limits(SURE_DEG, by_motion=True)))
         except PoorCalibration:
             continue
-        result = learnt.result
-        if learnt.gain_deg < MARGIN_DEG:
+        if result.sure_gain_deg < MARGIN_DEG:
             continue
         truth = [one for at, one in truths if at <= now_s][-1]
         old, new = (rms_deg(correction, truth) for correction in (force, result.correction))

@@ -17,6 +17,7 @@ from mavcompass.calibration import Limits, calibrate_compasses, calibrate_track,
 from mavcompass.calibration.model import GAIN, HORIZONTAL, OFFSET, gain_matrix
 from mavcompass.calibration.observation import turn_record
 from mavcompass.calibration.result import CalibrationResult
+from mavcompass.cli.main import main
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import BadRecording, PoorCalibration, UsageError
 from mavcompass.frames import level_to_body, matrix_to_euler, quaternion_to_matrix, wrap_pi
@@ -298,3 +299,14 @@ def test_the_result_is_json() -> None:
     assert len(card["compass_deg"]) == len(card["deviation_deg"]) == 8
     assert max(abs(d) for d in card["deviation_deg"]) > 20.0  # of the correction in force: none
     assert set(method_names()) >= {"four-positions", "world-field"}
+
+
+def test_beside_a_method_that_refuses_those_that_would_do_are_named(
+    shared_data: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = shared_data / "ardupilot-4.6.3" / "copter_dist_use2.BIN"
+    asked = ["calibrate", str(recording), "--compass", "1", "--max-error-deg", "0.18", "--method"]
+    assert main([*asked, "min-max"]) == 5
+    assert (
+        "--method world-field would accept this recording: heading within 0.2 deg" in capsys.readouterr().out
+    )

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration_worlds import FIELD, Iron, turning_track
+from calibration_worlds import Iron, turning_track
 
 from mavcompass.calibration import calibrate
 from mavcompass.calibration.calibrate import _check_compass
@@ -74,20 +74,3 @@ def test_in_force_is_what_was_at_the_end_and_what_was_not_applied() -> None:
     compass = MagSeries(1, Series.of(TIME, swinging(9.0)), steps)
     assert Recorded(Track(compasses={1: compass}), 1).in_force is late
     assert Recorded(Track(compasses={1: replace(compass, not_applied=never)}), 1).in_force is never
-
-
-@pytest.mark.parametrize(
-    ("method", "windows", "told"),
-    [("world-field", None, True), ("auto", None, False), ("world-field", [(1.0, 2.0)], False)],
-)
-def test_a_refused_method_names_the_one_that_would_do(
-    method: str, windows: list[tuple[float, float]] | None, told: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Who gave the still stretches, or left the choice to the program, has nothing to choose."""
-    track = turning_track(Iron((60.0, -40.0, 25.0), np.eye(3)), turns_deg=(90.0, 90.0, 90.0), dwell_s=4.0)
-    sound = calibrate.calibrate_track(track, method="four-positions", earth=FIELD)
-    refused = replace(sound, method=method, accepted=False, reasons=("too little turning",))
-    solvers = {"four-positions": lambda _: sound}
-    monkeypatch.setattr(calibrate, "find_method", lambda name: solvers.get(name, lambda _: refused))
-    said = calibrate.calibrate_track(track, method=method, earth=FIELD, windows=windows).warnings
-    assert any("--method four-positions would accept this recording" in line for line in said) is told

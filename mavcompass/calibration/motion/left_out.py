@@ -20,6 +20,7 @@ from mavcompass.calibration.motion.fit import level_headings, residual_of
 from mavcompass.calibration.motion.observed import Motion
 from mavcompass.calibration.motion.sections import LEAST_CIRCLE_RAD, Sections
 from mavcompass.calibration.recorded import Recorded
+from mavcompass.calibration.result import Change
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, circle_covered_rad, wrap_pi
 
@@ -35,8 +36,6 @@ _JUMPS = 4
 _SETTLE_S = 1.0
 # What passes by is gone sooner.
 _NO_PASSING_S = 10.0
-# A smaller difference may be an error of the attitude.
-_IRON_MGAUSS = 15.0
 _STOP_S = 2.0
 # Fewer do not tell which; of more, one bends little.
 _FEWEST, _MOST = 4, 8
@@ -45,31 +44,6 @@ _EXPLAINED, _ALIKE = 0.3, 0.1
 
 
 # --- a change of the iron ---------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class Change:
-    """Say that what was recorded before a time does not fit the rest, and by how much the iron differed."""
-
-    time_s: float
-    moved_mgauss: float
-
-    @property
-    def is_iron(self) -> bool:
-        """Tell whether iron aboard was moved; else it may be manoeuvres, or something that passed."""
-        return self.moved_mgauss > _IRON_MGAUSS
-
-    def words(self) -> str:
-        """Say it in a sentence."""
-        if self.is_iron:
-            return (
-                f"The iron changed by about {self.moved_mgauss:.0f} mG at {self.time_s:.0f} s: only what was "
-                "recorded after it counts."
-            )
-        return (
-            f"What was recorded before {self.time_s:.0f} s does not fit the rest (hard manoeuvres, or "
-            "something magnetic nearby): only what came after counts."
-        )
 
 
 def last_stretch(motion: Motion) -> tuple[Motion, Change | None]:

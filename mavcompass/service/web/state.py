@@ -78,16 +78,14 @@ def state_json(station: Station) -> dict[str, Any]:
 
 def _lesson_json(station: Station, lesson: Lesson) -> dict[str, Any]:
     """Describe what was learnt of a compass: old against new, how sure, and what it has not seen yet."""
-    learnt, config = lesson.learnt, station.config.learning
-    about: dict[str, Any] = {"compass": lesson.instance, "margin_deg": config.margin_deg, "offered": False}
-    if learnt is None:
-        return about | {"reasons": [lesson.why_not]}
-    result = learnt.result
-    return about | {
-        "offered": lesson in station.learning.offers(),
+    result, margin_deg = lesson.result, station.config.learning.margin_deg
+    return {
+        "compass": result.instance,
+        "margin_deg": margin_deg,
+        "offered": result in station.learning.offers(),
         "sigma_deg": _number(result.heading_sigma_deg),
         "in_force_error_deg": _number(result.heading_change_deg),
-        "not_seen_deg": list(learnt.not_seen_deg),
+        "not_seen_deg": list(result.not_seen_deg),
         "iron_changed_at": None
         if lesson.changed_at is None
         else lesson.changed_at.isoformat(timespec="seconds"),

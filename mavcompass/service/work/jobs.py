@@ -157,7 +157,7 @@ class Jobs:
                 return task.results
 
             return calibration_machine(self._source, settings, self._undo_folder, solve_there, clock.now)
-        offered = {o.instance: o.learnt.result for o in self._learning.offers() if o.learnt is not None}
+        offered = {result.instance: result for result in self._learning.offers()}
         results = task.results = tuple(
             result for i, result in offered.items() if i in (request.compasses or offered)
         )

@@ -16,7 +16,8 @@ from datetime import datetime, timedelta
 
 import numpy as np
 
-from mavcompass.calibration.methods.running import WINDOW_S, Learnt
+from mavcompass.calibration.methods.running import WINDOW_S
+from mavcompass.calibration.result import CalibrationResult
 from mavcompass.earth_field import EarthField
 from mavcompass.errors import MavCompassError
 from mavcompass.frames import FloatArray
@@ -46,13 +47,11 @@ class Lesson:
     """Hold what was learnt of one compass, and when.
 
     Attributes:
-        learnt: None where there is nothing to learn from yet; `why_not` says why.
+        result: not accepted where it is not to be believed yet.
         changed_at: when its iron changed, None where it did not.
     """
 
-    instance: int
-    learnt: Learnt | None
-    why_not: str = ""
+    result: CalibrationResult
     changed_at: datetime | None = None
 
 
@@ -97,7 +96,7 @@ class Learning:
         self._builder: TrackBuilder | None = None
         self._corrections: Mapping[str, float] = {}
         self._thread: threading.Thread | None = None
-        self._told: tuple[_Kept, dict[int, Learnt | str]] | None = None
+        self._told: tuple[_Kept, dict[int, CalibrationResult]] | None = None
         self.restart()
 
     def restart(self) -> None:
@@ -146,7 +145,7 @@ class Learning:
         """Take what was found, and ask where there is enough that is new."""
         told, self._told = self._told, None
         if told is not None and told[0] is self._kept:
-            self.lessons = {i: self._lesson(i, what) for i, what in told[1].items()}
+            self.lessons = {i: self._lesson(result) for i, result in told[1].items()}
         new = self._kept.count - self._asked
         if new < (_SOON if self._kept.count <= _EAGER else _LATER):
             return
@@ -170,27 +169,22 @@ class Learning:
         finally:
             self._worker.end()
 
-    def _lesson(self, instance: int, what: Learnt | str) -> Lesson:
-        if isinstance(what, str):
-            return Lesson(instance, None, what)
-        if what.change is None or self._builder is None:
-            return Lesson(instance, what)
-        ago_s = self._builder.latest_s - self._kept.boot_time_s(what.change.time_s)
-        return Lesson(instance, what, changed_at=clock.now() - timedelta(seconds=ago_s))
+    def _lesson(self, result: CalibrationResult) -> Lesson:
+        if result.changed is None or self._builder is None:
+            return Lesson(result)
+        ago_s = self._builder.latest_s - self._kept.boot_time_s(result.changed.time_s)
+        return Lesson(result, clock.now() - timedelta(seconds=ago_s))
 
-    def offers(self) -> tuple[Lesson, ...]:
+    def offers(self) -> tuple[CalibrationResult, ...]:
         """List what would lower the heading error in force by the margin, at the least."""
-        return tuple(
-            lesson
-            for lesson in self.lessons.values()
-            if lesson.learnt is not None and lesson.learnt.gain_deg >= self._config.margin_deg
-        )
+        results = (lesson.result for lesson in self.lessons.values())
+        return tuple(result for result in results if result.sure_gain_deg >= self._config.margin_deg)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
         """Return what is to be told: offers, and iron that has changed."""
         changed = (_changed(lesson) for lesson in self.lessons.values() if lesson.changed_at is not None)
-        return (*(_offer(lesson, self._config.margin_deg) for lesson in self.offers()), *changed)
+        return (*(_offer(result, self._config.margin_deg) for result in self.offers()), *changed)
 
     def close(self) -> None:
         """End the process for good."""
@@ -211,10 +205,8 @@ def _turned_rad(field: FloatArray) -> float:
     return math.atan2(float(np.linalg.norm(np.cross(first, last))), float(first @ last))
 
 
-def _offer(lesson: Lesson, margin_deg: float) -> Finding:
-    assert lesson.learnt is not None
-    i, result = lesson.instance, lesson.learnt.result
-    old_deg, new_deg = result.heading_change_deg, result.heading_sigma_deg
+def _offer(result: CalibrationResult, margin_deg: float) -> Finding:
+    i, old_deg, new_deg = result.instance, result.heading_change_deg, result.heading_sigma_deg
     short = f"Compass {i} is {old_deg:.0f} deg off, learnt: {new_deg:.1f} deg"
     text = (
         f"Compass {i} points {old_deg:.1f} degrees off, rms over the circle, by what was learnt on the way; "
@@ -225,8 +217,8 @@ def _offer(lesson: Lesson, margin_deg: float) -> Finding:
 
 
 def _changed(lesson: Lesson) -> Finding:
-    assert lesson.learnt is not None and lesson.learnt.change is not None and lesson.changed_at is not None
-    i, moved = lesson.instance, lesson.learnt.change.moved_mgauss
+    assert lesson.result.changed is not None and lesson.changed_at is not None
+    i, moved = lesson.result.instance, lesson.result.changed.moved_mgauss
     short = f"Compass {i}: iron changed {lesson.changed_at:%H:%M} UTC, {moved:.0f} mG"
     when = f"{lesson.changed_at:%H:%M:%S} UTC"
     text = f"The iron around compass {i} changed by about {moved:.0f} mG at {when}."

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from mavcompass.errors import MavCompassError
+from mavcompass.errors import MavCompassError, PoorCalibration
 from mavcompass.workers import Child
 
 SOLVE_S = 60.0
@@ -69,13 +69,16 @@ class Worker:
 
 
 def learn(pieces: list[Any], instances: tuple[int, ...], earth: Any, limit_deg: float) -> dict[int, Any]:
-    """Tell what pieces of a recording show of each compass: a `Learnt`, or why there is none."""
-    from mavcompass.calibration.calibrate import learn_compasses
+    """Tell what pieces of a recording show of each compass: a `CalibrationResult`, perhaps refused."""
+    from mavcompass.calibration.calibrate import calibrate_compasses, refused
     from mavcompass.calibration.result import Limits
     from mavcompass.track import joined
 
-    found = learn_compasses(joined(pieces), instances, earth, Limits(limit_deg, by_motion=True))
-    return {i: str(learnt) if isinstance(learnt, MavCompassError) else learnt for i, learnt in found.items()}
+    track, limits = joined(pieces), Limits(limit_deg, by_motion=True)
+    try:
+        return calibrate_compasses(track, "running", instances, limits=limits, earth=earth)
+    except PoorCalibration as why:
+        return {i: refused(track, "running", i, why) for i in instances}
 
 
 def write_calibration_report(report: Any, path: Path) -> None:

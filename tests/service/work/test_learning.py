@@ -12,7 +12,6 @@ import pytest
 from running_service import RunningService, StartService, wait_for
 
 from mavcompass import messages as mav
-from mavcompass.calibration.methods.running import Learnt
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.earth_field import EarthField
 from mavcompass.messages import Incoming
@@ -80,9 +79,7 @@ def drive(monkeypatch: pytest.MonkeyPatch) -> Drive:
 
 def test_a_compass_that_is_off_is_offered_old_against_new(drive: Drive) -> None:
     drive.go(going_round(20))
-    (lesson,) = drive.learning.offers()
-    assert lesson.learnt is not None
-    result = lesson.learnt.result
+    (result,) = drive.learning.offers()
     assert np.allclose(result.correction.offsets_mgauss[:2], -IRON[:2], atol=3.0)
     assert result.parameters["COMPASS_OFS_X"] == pytest.approx(-70.0, abs=3.0)
     (finding,) = drive.learning.findings
@@ -90,14 +87,14 @@ def test_a_compass_that_is_off_is_offered_old_against_new(drive: Drive) -> None:
     assert f"{result.heading_change_deg:.1f} degrees off" in finding.text
     assert 10.0 < result.heading_change_deg < 25.0
     drive.go(going_round(30))  # and it goes on learning
-    again = drive.learning.lessons[1].learnt
-    assert again is not None and again is not lesson.learnt
+    again = drive.learning.lessons[1].result
+    assert again.accepted and again is not result
 
 
 def test_a_compass_that_is_right_is_not_offered(drive: Drive) -> None:
     drive.iron = np.zeros(3)
     drive.go(going_round(20))
-    assert drive.learning.lessons[1].learnt is not None
+    assert drive.learning.lessons[1].result.accepted
     assert drive.learning.offers() == () and drive.learning.findings == ()
 
 
@@ -160,13 +157,13 @@ def test_another_calibration_in_force_begins_anew(drive: Drive) -> None:
 # --- consent ------------------------------------------------------------------------------------------
 
 
-def learnt(service: RunningService) -> Learnt:
+def learnt(service: RunningService) -> CalibrationResult:
     """What an hour of driving would have taught of compass 1: its true correction."""
     assert service.link is not None
     vehicle = service.link.autopilot
     assert isinstance(vehicle, SimulatedAutopilot)
     setup = vehicle.board.compass_setups[0]
-    result = CalibrationResult(
+    return CalibrationResult(
         instance=1,
         method="running",
         accepted=True,
@@ -177,8 +174,8 @@ def learnt(service: RunningService) -> Learnt:
         heading_change_deg=20.0,
         horizontal_mgauss=240.0,
         vertical_mgauss=-520.0,
+        not_seen_deg=(90,),
     )
-    return Learnt(result, (90,), None)
 
 
 @pytest.fixture
@@ -188,7 +185,7 @@ def disarmed(start_service: StartService) -> RunningService:
     running = start_service(SimulatedLink(vehicle, speed=20.0))
     station = running.service.station
     wait_for(lambda: station.learning._corrections)
-    station.learning.lessons = {1: Lesson(1, learnt(running))}
+    station.learning.lessons = {1: Lesson(learnt(running))}
     return running
 
 
@@ -223,6 +220,6 @@ def test_an_armed_vehicle_and_a_stale_lesson_are_refused(running: RunningService
     assert nothing["state"] == "failed" and "Nothing was learnt yet" in nothing["error"]
     learning = running.service.station.learning
     wait_for(lambda: learning._corrections)
-    learning.lessons = {1: Lesson(1, learnt(running))}
+    learning.lessons = {1: Lesson(learnt(running))}
     armed = running.calibrate(method="running", writing="yes")
     assert armed["state"] == "failed" and "is armed" in armed["error"]
