@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 from mavcompass import messages as mav
@@ -154,7 +153,7 @@ class _Calibration:
         wanted = (settings.moved_by, settings.turn_by, settings.permissions)
         self.mobility = mobility = Mobility(desk, *wanted, self.overrides, settings.continuous)
         self.writer = writer = Writer(
-            desk, self.overrides.save_undo, settings.writing == "ask", self.make_room
+            desk, self.overrides.save_undo, settings.writing == "ask", self.just_before
         )
         try:
             mover = yield from mobility.take_charge()
@@ -236,17 +235,19 @@ class _Calibration:
         if len(windows) != 2 or late or mobility is None or not mobility.steers_astray:
             return
         roughly = replace(self.settings, method="touch-up", max_heading_error_deg=_ROUGH_DEG)
-        with suppress(PoorCalibration):
+        try:
             results = self.solve(windows, roughly).results
-            corrections = {r.instance: r.correction for r in results if r.accepted and not r.already_right}
-            plan = desk.dialect.plan(desk.parameters, corrections, reporting=desk.state.reporting)
-            self.rough = () if plan.refusals else plan.changes
-        rough = {change.name: change.new for change in self.rough}
-        if rough and (yield from self.overrides.hold(desk.context, rough)):
+        except PoorCalibration:
+            return
+        corrections = {r.instance: r.correction for r in results if r.accepted and not r.already_right}
+        plan = desk.dialect.plan(desk.parameters, corrections, reporting=desk.state.reporting)
+        rough = {change.name: change.new for change in plan.changes}
+        if rough and not plan.refusals and (yield from self.overrides.hold(desk.context, rough)):
+            self.rough = plan.changes
             desk.now_in_force(rough)
             yield from self.own.keep_up()
 
-    def make_room(self) -> Script[None]:
+    def just_before(self) -> Script[None]:
         """Put back what was known roughly, and have the estimator expect what is written now."""
         if self.rough:
             yield from self.overrides.release(self.desk.context, "It has turned.")
