@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mavcompass import api
-from mavcompass.calibration import Limits, calibrate_compasses, calibrate_track
+from mavcompass.calibration import Limits, calibrate_compasses
 from mavcompass.calibration.result import CalibrationResult, summary
 from mavcompass.cli.options import Output
 from mavcompass.cli.terminal.colour import styled
@@ -101,19 +101,20 @@ def solve_recording(wanted: Results, settings: CalibrateSettings, in_force_file:
             "Choose with --compass.",
         )
     chosen = settings.instances or tuple(track.compasses)
+    limits = Limits(heading_deg=settings.max_heading_error_deg)
     try:
         found = calibrate_compasses(
             track,
             settings.method,
             chosen,
-            limits=Limits(heading_deg=settings.max_heading_error_deg),
+            limits=limits,
             turn=settings.orientation,
             true_heading=settings.true_heading,
         )
     except PoorCalibration as error:
         output.write_json(wanted.refused(settings, error, chosen, track))
         raise
-    results = [_with_others(track, result, settings) for result in found.values()]
+    results = _with_others(track, list(found.values()), settings.method, limits)
     for note in track.notes:
         output.say(f"Note: {note}")
     for result in results:
@@ -132,19 +133,21 @@ def solve_recording(wanted: Results, settings: CalibrateSettings, in_force_file:
     return 0 if accepted else NOT_ACCEPTED
 
 
-def _with_others(track: Track, result: CalibrationResult, settings: CalibrateSettings) -> CalibrationResult:
-    """Name, beside a refusal by a method that was chosen, the methods that would accept the recording."""
-    if result.accepted or settings.method == "auto":
-        return result
-    said: list[str] = []
-    for name in _OTHERS:
+def _with_others(
+    track: Track, results: list[CalibrationResult], method: str, limits: Limits
+) -> list[CalibrationResult]:
+    """Name, beside what a method that was chosen refuses, the methods that would accept the recording."""
+    refused = tuple(result.instance for result in results if not result.accepted)
+    said: dict[int, list[str]] = {i: [] for i in refused}
+    for name in _OTHERS if refused and method != "auto" else ():
+        if name == method:
+            continue
         with suppress(PoorCalibration):
-            limits = Limits(heading_deg=settings.max_heading_error_deg)
-            other = calibrate_track(track, name, result.instance, limits=limits)
-            if other.accepted:
-                within = f"heading within {other.heading_sigma_deg:.1f} deg"
-                said.append(f"--method {name} would accept this recording: {within}.")
-    return replace(result, warnings=(*result.warnings, *said))
+            for i, other in calibrate_compasses(track, name, refused, limits=limits).items():
+                if other.accepted:
+                    within = f"heading within {other.heading_sigma_deg:.1f} deg"
+                    said[i].append(f"--method {name} would accept this recording: {within}.")
+    return [replace(one, warnings=(*one.warnings, *said.get(one.instance, ()))) for one in results]
 
 
 def _read(source: str, in_force_file: Path | None) -> Track:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from mavcompass import messages as mav
 from mavcompass.calibration.result import CalibrationResult, OwnFinding, summary
@@ -212,12 +213,10 @@ class _Calibration:
         Solving takes a small computer seconds, in which nothing is sent: no vehicle may depend on that.
         """
         desk, settings = self.desk, self.settings
-        go = turn_through if settings.continuous else visit
+        go = turn_through if settings.continuous else partial(visit, between=self.know_roughly)
         how = (settings.planned, settings.step_rad, settings.dwell)
         desk.now_in_force({change.name: change.new for change in self.rough})
-        windows = yield from go(
-            desk.context, mover, *how, seen, self.own.keep_up, self.sureness_deg, self.know_roughly
-        )
+        windows = yield from go(desk.context, mover, *how, seen, self.own.keep_up, self.sureness_deg)
         yield from mover.release(desk.context)
         # Until the write it stands, and what is found is held against what was in force at the beginning.
         desk.now_in_force({change.name: change.old for change in self.rough})

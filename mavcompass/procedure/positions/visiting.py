@@ -360,7 +360,6 @@ def turn_through(
     seen: Sequence[Window] = (),
     at_first: Callable[[], Script[None]] | None = None,
     sureness: Sureness | None = None,
-    between: Callable[[list[Window]], Script[None]] | None = None,
 ) -> Script[list[Window]]:
     """Stand at the first position, then turn through all of them without a stop, back to the first.
 
@@ -368,7 +367,7 @@ def turn_through(
     needed for the iron. How late the compass is read is only a constant heading while the rate stays; what
     shows as the rate changes is part of the fit.
     With positions `seen` already it only turns on by one step. `at_first` is done while it stands;
-    `sureness` ends its dwell, see `dwell`; nothing is `between`.
+    `sureness` ends its dwell, see `dwell`.
     """
     windows, angle_rad, rest, gyro = list(seen), step_rad * (1 if seen else count), mover.rest, mover.gyro
     if not windows:

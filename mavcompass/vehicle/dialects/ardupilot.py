@@ -67,6 +67,7 @@ class ArduPilotDialect(CompassDialect):
     prefix = ("COMPASS", "CUST_ROT")
     encoding: Encoding = "cast"
     motor_terms, motor_switch = r"COMPASS[123]?_MOT[23]?_[XYZ]", "COMPASS_MOTCT"
+    unwatched = ("The autopilot's own heading follows a new calibration slowly: reboot it before it moves.",)
     restart_wanted_by_own = True
 
     # --- reading ------------------------------------------------------------------------------------
@@ -182,10 +183,6 @@ class ArduPilotDialect(CompassDialect):
             refusals.append(f"{label}: offsets of exactly zero mean 'not calibrated' to the firmware.")
         more_refusals, more_remarks = _about_mounting(before, after, instance)
         return refusals + more_refusals, remarks + more_remarks
-
-    def unwatched(self) -> list[str]:
-        """Say that its estimator follows slowly."""
-        return ["The autopilot's own heading follows a new calibration slowly: reboot it before it moves."]
 
     def uncommitted(
         self, before: Mapping[str, float], after: Mapping[str, float], judged: Iterable[int]

@@ -32,12 +32,14 @@ class CompassDialect(Dialect):
         prefix: what the names of its compass parameters begin with, one of them.
         encoding: how it puts integers into PARAM_VALUE.
         motor_terms: the names of motor terms, a pattern. motor_switch: what says with which load all go.
+        unwatched: what to know where values are written by hand, and nobody watches the autopilot's heading.
     """
 
     prefix: tuple[str, ...]
     encoding: Encoding
     motor_terms: str
     motor_switch: str
+    unwatched: tuple[str, ...] = ()
 
     def __init__(self, source: str = "SOURCE") -> None:
         """Take the vehicle's address, which error messages repeat in the command that restores."""
@@ -85,10 +87,6 @@ class CompassDialect(Dialect):
         self, before: Mapping[str, float], after: Mapping[str, float], instance: int
     ) -> Judgement:
         """Check what a compass would hold: reasons against it, and what a person should know."""
-
-    def unwatched(self) -> list[str]:
-        """Tell what to know where values of a compass are written by hand, and nobody watches its heading."""
-        return []
 
     def in_order(self, changes: tuple[Change, ...]) -> tuple[Change, ...]:
         """Put changes in the order of writing, which is undone from its end."""
@@ -221,7 +219,7 @@ class CompassDialect(Dialect):
             known = parameter_remarks(self.autopilot, after, instance)
             doubts += [*against, *(remark.text for remark in known if remark.forbids)]
             remarks += [*notes, *(remark.text for remark in known if not remark.forbids)]
-            remarks += self.unwatched() if changes and not touched else []
+            remarks += self.unwatched if changes and not touched else ()
         doubts += self._motor_clash(parameters, after, judged)
         if late := tuple(c.name for c in changes if self.rules.wants_reboot(c.name)):
             takes = "takes" if len(late) == 1 else "take"
