@@ -272,7 +272,8 @@ def _as_mounted(
 def _tried(case: Case, result: CalibrationResult, rotation: FloatArray, log_evidence: float) -> _Trial | None:
     """Calibrate a compass as if it were turned by a rotation, and turn it further as the others tell."""
     track, instance = case.track, result.instance
-    for _ in range(6):
+    before_rad = math.inf
+    while True:
         turned = replace(case, track=turned_compass(track, instance, rotation))
         try:
             solved = case.solve(turned.track, instance)
@@ -288,13 +289,13 @@ def _tried(case: Case, result: CalibrationResult, rotation: FloatArray, log_evid
         own_rad = max(_FREE_RAD, others_rad * math.sqrt(2.0 * _log_room(_APART_RAD, others_rad)))
         # Readings that are turned clockwise show a heading that much less.
         away = found.apart_rad(0)
-        if abs(away) < (others_rad if free else own_rad):
+        # What no longer shrinks is what two headings differ by however the compass is turned.
+        if abs(away) < (others_rad if free else own_rad) or abs(away) > 0.5 * before_rad:
             break
+        before_rad = abs(away)
         rotation = numbered(track, instance, euler_to_matrix(0.0, 0.0, away) @ rotation, own_rad)
-    else:
-        return None
     # A free angle is known as well as the others' headings, a number as well as these bear it out.
-    unsure_deg = math.degrees(others_rad if free else abs(away))
+    unsure_deg = math.degrees(max(others_rad, abs(away)) if free else abs(away))
     solved = solved.widened(math.hypot(solved.heading_sigma_deg, unsure_deg), "mounting")
     log_evidence += found.log_evidence
     if free:
