@@ -11,7 +11,7 @@ from mavcompass.calibration.model import GAIN, GYRO_SCALE, HORIZONTAL, MOTOR, NO
 from mavcompass.calibration.motion.fit import MotionFit
 from mavcompass.calibration.motion.honesty import Honesty
 from mavcompass.calibration.motion.observed import Motion
-from mavcompass.calibration.motion.sections import LEAST_CIRCLE_RAD, Sections, sparse_words
+from mavcompass.calibration.motion.sections import LEAST_CIRCLE_RAD, Sections
 from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.positions import WIDENED_BELOW, FourPositionsResult
 from mavcompass.calibration.result import DEFAULT_LIMITS, UNCERTAIN, Limits
@@ -198,9 +198,9 @@ def findings(motion: Motion, honest: Honesty) -> tuple[tuple[str, ...], tuple[st
     load_source = "none" if motion.motors_told else motion.load_source
     reasons: list[str] = []
     warnings: list[str] = []
-    sparse = sparse_words(sections)
-    if sparse and honest.error.rms_rad() * DEG_PER_RAD > _SCATTER_TOLD_DEG:
-        reasons.append(sparse)
+    sparse = sections.sparse()
+    if sparse is not None and honest.error.rms_rad() * DEG_PER_RAD > _SCATTER_TOLD_DEG:
+        reasons.append(str(sparse))
     seen = circle_covered_rad(fit.headings_rad)
     if seen < LEAST_CIRCLE_RAD:
         reasons.append(

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mavcompass.calibration.first_state import swing_mgauss
-from mavcompass.calibration.model import HORIZONTAL, OFFSET, VERTICAL
+from mavcompass.calibration.model import HORIZONTAL, NO_HEADING_RAD, OFFSET, VERTICAL
 from mavcompass.calibration.motion.fit import MotionFit, begin
 from mavcompass.calibration.motion.observed import observe_motion
 from mavcompass.calibration.motion.sections import Sections
@@ -86,6 +86,8 @@ def likely_rotations(recorded: Recorded, reach: float) -> list[tuple[FloatArray,
     """
     track, instance = recorded.track, recorded.instance
     motion = observe_motion(replace(recorded, track=turned_compass(track, instance, np.eye(3))))
+    if (nothing_known := motion.sections.sparse(NO_HEADING_RAD)) is not None:
+        raise nothing_known
     raw, in_force = motion.sections.mean_mgauss, sensor_to_body(track.autopilot, track.parameters, instance)
     # A fit errs by less than a tenth of it, so that what lies far apart where fits begin will lie farther.
     swing = swing_mgauss(raw)

@@ -41,8 +41,8 @@ _SCALE_SIGMA = 0.01
 _STEPS = 40
 # Of the scaled normal equations; more where a step does not lower the cost.
 _DAMPING, _FIRST_DAMPING, _MOST_DAMPING = 1e-12, 1e-3, 1e3
-# A step of this many sigmas, or one that lowers the cost by this share, settles nothing more.
-_SETTLED_SIGMAS, _SETTLED_SHARE = 1e-5, 1e-8
+# A step that lowers the cost by this share of one residual's settles nothing more.
+_SETTLED = 1e-3
 # Limits are taken for two sigmas. Gains that nobody has measured: MAGFit keeps diagonals within 0.8 to 1.2.
 _GAIN_SIGMA = 0.1
 # Gains in force: ArduPilot keeps a calibration that leaves 16 mG rms at most of a field of some 500 mG.
@@ -254,20 +254,19 @@ def settle(
         scale = 1.0 / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)
         scaled = jacobian * scale
         normal, downhill = scaled.T @ scaled, -scaled.T @ values
-        # Not worse than by what settles nothing more: the last digits of a minimum are noise.
-        cost = float(values @ values) * (1.0 + 0.1 * _SETTLED_SHARE)
+        # Not worse than by the last digits of a minimum, which are noise.
+        cost = float(values @ values)
         while True:
             damped = normal.copy()
             damped[diagonal] += damping
             step = np.linalg.solve(damped, downhill)
             trial = x + scale * step
             values, jacobian = assembled(readings, trial, roots, rules)
-            if float(values @ values) <= cost or damping > _MOST_DAMPING:
+            if float(values @ values) <= cost * (1.0 + 1e-9) or damping > _MOST_DAMPING:
                 break
             damping = max(10.0 * damping, _FIRST_DAMPING)
         x, damping = trial, max(0.1 * damping, _DAMPING)
-        gained = 1.0 - float(values @ values) / max(cost, 1e-30)
-        if float(np.abs(step).max()) < _SETTLED_SIGMAS or gained < _SETTLED_SHARE:
+        if (cost - float(values @ values)) * len(values) <= _SETTLED * cost:
             break
     return x
 

@@ -11,6 +11,7 @@ import pytest
 
 from mavcompass.calibration.findings import findings, judge
 from mavcompass.calibration.model import GAIN, GYRO_SCALE, HORIZONTAL, MOTOR
+from mavcompass.calibration.motion.sections import Sections
 from mavcompass.calibration.result import Limits
 from mavcompass.units import RAD_PER_DEG
 
@@ -44,7 +45,8 @@ def of_motion(**seen: Any) -> Told:
     state = np.zeros(17 + COUNT)
     state[GAIN], state[HORIZONTAL] = seen.pop("gains", (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)), 200.0
     state[MOTOR], state[GYRO_SCALE] = seen.pop("motor", (0.0, 0.0, 0.0)), seen.pop("gyro", 0.0)
-    sections = type("Sections", (SimpleNamespace,), {"__len__": lambda self: COUNT})(
+    own = {"__len__": lambda self: COUNT, "sparse": Sections.sparse}
+    sections = type("Sections", (SimpleNamespace,), own)(
         samples=np.full(COUNT, 20.0),
         turned_rad=np.linspace(0.0, 2.0 * math.pi, COUNT),
         step_sigma_rad=np.full(COUNT - 1, seen.pop("step_deg", 0.5) * RAD_PER_DEG),

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from mavcompass.calibration.methods import ellipsoid, four_positions, world_field
+from mavcompass.calibration.model import NO_HEADING_RAD
 from mavcompass.calibration.motion.left_out import last_stretch, since
 from mavcompass.calibration.motion.observed import Motion, motion_or_none, observe_motion
 from mavcompass.calibration.recorded import Recorded
@@ -29,7 +30,8 @@ def calibrate(recorded: Recorded) -> CalibrationResult:
     if recorded.windows is not None:
         return four_positions.calibrate(recorded)
     motion, change = motion_or_none(recorded), None
-    if motion is not None:
+    # Iron that changed shows by what turns and compass contradict, which a gyro has to follow.
+    if motion is not None and motion.sections.sparse(NO_HEADING_RAD) is None:
         motion, change = last_stretch(motion)
         if change is not None:
             recorded = since(recorded, float(motion.sections.start_s[0]))

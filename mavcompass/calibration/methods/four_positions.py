@@ -12,7 +12,6 @@ from mavcompass.calibration.findings import judge
 from mavcompass.calibration.model import GAIN, HORIZONTAL, VERTICAL
 from mavcompass.calibration.motion.honesty import claimed
 from mavcompass.calibration.motion.observed import Motion, motion_or_none
-from mavcompass.calibration.motion.sections import sparse_words
 from mavcompass.calibration.observation import FourPositionData, assemble, dwell_between, observe, turn_record
 from mavcompass.calibration.positions import solve_four_positions, unobserved
 from mavcompass.calibration.recorded import Recorded
@@ -104,8 +103,8 @@ def witnessed(result: CalibrationResult, motion: Motion | None) -> CalibrationRe
     """
     if motion is None:
         return result
-    if not result.accepted and (sparse := sparse_words(motion.sections)):
-        return replace(result, reasons=(sparse,))
+    if not result.accepted and (sparse := motion.sections.sparse()) is not None:
+        return replace(result, reasons=(str(sparse),))
     return claimed(motion, result)
 
 

@@ -19,7 +19,7 @@ from mavcompass.attitude import levels
 from mavcompass.calibration.model import HORIZONTAL, LAG, MOTOR, VERTICAL, HeadingError, heading_gradient
 from mavcompass.calibration.motion.fit import MotionFit, leaning_error
 from mavcompass.calibration.motion.observed import Motion
-from mavcompass.calibration.motion.sections import Sections, sparse_words, unsettled
+from mavcompass.calibration.motion.sections import Sections, unsettled
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.calibration.rigid import DEFAULT_PRIOR, IronPrior, weigh_cross_terms
 from mavcompass.correction import FieldCorrection
@@ -146,7 +146,7 @@ def scatter_left_rad(motion: Motion, correction: FieldCorrection) -> float:
     That is where the gyro was recorded too seldom, and where roll and pitch are hardly known.
     """
     track, instance, source = motion.recorded.track, motion.recorded.instance, correction.motor_source
-    if sparse_words(motion.sections):
+    if motion.sections.sparse() is not None:
         return 0.0
     time = track.compasses[instance].time_s
     load = None if source == "none" else track.motor_load(time, source)

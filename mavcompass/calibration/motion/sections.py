@@ -22,10 +22,13 @@ from mavcompass.calibration.observation.turning import (
     DRIFT_RADPS2,
     DRIFTS_FOR_S,
     GYRO_SCALE_SIGMA,
+    SPARSE_RAD,
     TurnRecord,
+    too_sparse,
 )
 from mavcompass.calibration.observation.wire import fresh_readings, hidden_in_runs
 from mavcompass.calibration.rigid import Readings
+from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, level_to_body, quaternion_to_matrix, tilt_from_acceleration
 from mavcompass.track import Series, Track
 
@@ -44,8 +47,6 @@ _LOAD_STEP = 0.15
 _PARAMETERS_SETTLE_S = 2.0
 # Less of the circle than this cannot tell iron from heading.
 LEAST_CIRCLE_RAD = math.radians(150.0)
-# A turn known no better shows nothing of the compass.
-_SPARSE_RAD = math.radians(5.0)
 # One sigma of a reference's yaw, and how often it has to be told.
 _OPTICAL_SIGMA_RAD, _GPS_SIGMA_RAD = math.radians(0.3), math.radians(0.7)
 _FEWEST = 10
@@ -78,6 +79,10 @@ class Sections(Readings):
     load_mean: float
     repeats: FloatArray
     gyro_rate_hz: float
+
+    def sparse(self, least_rad: float = SPARSE_RAD) -> PoorCalibration | None:
+        """Say that the gyro was recorded too seldom to follow the turns, see `too_sparse`; None if not."""
+        return too_sparse(np.diff(self.turned_rad), self.step_sigma_rad, self.gyro_rate_hz, least_rad)
 
     def between(self, start_s: float, end_s: float) -> Sections:
         """Keep the sections whose middle lies between two times."""
@@ -211,21 +216,6 @@ def cut_sections(
         load_mean=middle_load,
         repeats=np.bincount(visit)[visit].astype(float),
         gyro_rate_hz=1.0 / max(record.interval_s, 1e-6),
-    )
-
-
-def sparse_words(sections: Sections) -> str:
-    """Say that the gyro was recorded too seldom to follow the turns, or "" where it was not."""
-    turning = np.abs(np.diff(sections.turned_rad)) > math.radians(10.0)
-    if not turning.any():
-        return ""
-    sigma = float(np.median(sections.step_sigma_rad[turning]))
-    if sigma < _SPARSE_RAD:
-        return ""
-    return (
-        f"The gyro was recorded too seldom to follow the turns: {sections.gyro_rate_hz:.1f} times a second, "
-        f"so that a turn is known to {math.degrees(sigma):.0f} degrees. Record it 10 times a second or more, "
-        "or turn slower."
     )
 
 

@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from mavcompass.attitude import levels, moving_average
+from mavcompass.calibration.model import NO_HEADING_RAD
 from mavcompass.calibration.observation.detector import (
     LONGEST_SWING_RAD,
     RATE_SMOOTHING_S,
@@ -35,6 +36,7 @@ from mavcompass.calibration.observation.turning import (
     TurnRecord,
     require_turn,
     stretches,
+    too_sparse,
     turn_record,
 )
 from mavcompass.errors import PoorCalibration
@@ -172,7 +174,8 @@ def observe(
 ) -> FourPositionData:
     """Find the dwells of a recording, `fewest` of them wanted, and measure the turns between them.
 
-    Raises PoorCalibration where the recording has no gyro or hardly turns, KeyError for an unknown compass.
+    Raises PoorCalibration where the recording has no gyro, one that tells nothing of the turns, or hardly any
+    turn, KeyError for an unknown compass.
     """
     record = turn or require_turn(track, instance)
     dwells = find_dwells(track, instance, record)
@@ -182,7 +185,13 @@ def observe(
             f"Too little motion: the vehicle's heading changed by only {turned:.0f} degrees in all.",
             "Turn it on the level in four steps of about 90 degrees and stop after each.",
         )
-    return assemble(track, dwells, instance, record)
+    data = assemble(track, dwells, instance, record)
+    sigma_rad = np.array([step.sigma_rad for step in data.steps])
+    if nothing_known := too_sparse(
+        np.diff(data.turned_rad), sigma_rad, 1.0 / record.interval_s, NO_HEADING_RAD
+    ):
+        raise nothing_known
+    return data
 
 
 def assemble(

@@ -38,6 +38,8 @@ _WALK_S, _FEWEST_WALKS, _UNSEEN_WALK_RAD = 2.0, 10, math.radians(0.02)
 _TURNING_SIGMAS = 5.0
 _STEADY_RADPS = math.radians(1.0)
 _SHORTEST_S, _SMOOTHING_S = 1.0, 0.5
+# A turn known no better shows nothing of the compass; one of less is none.
+SPARSE_RAD, _LEAST_TURN_RAD = math.radians(5.0), math.radians(10.0)
 # A field that moves by more than this many sigmas shows a vehicle that turns.
 _MOVING_SIGMAS = 4.0
 
@@ -152,6 +154,23 @@ def require_turn(track: Track, instance: int = 1) -> TurnRecord:
             "Record the angular rate too (RAW_IMU, SCALED_IMU or IMU messages).",
         )
     return record
+
+
+def too_sparse(
+    turns_rad: FloatArray, sigma_rad: FloatArray, rate_hz: float, least_rad: float = SPARSE_RAD
+) -> PoorCalibration | None:
+    """Say that a gyro told at a rate did not follow turns (N,): they are known to their sigmas (N,).
+
+    None where there is no turn, or half of them are known better than `least_rad`.
+    """
+    turning = np.abs(turns_rad) > _LEAST_TURN_RAD
+    if not turning.any() or (usual := float(np.median(sigma_rad[turning]))) < least_rad:
+        return None
+    return PoorCalibration(
+        f"The gyro was recorded too seldom to follow the turns: {rate_hz:.1f} times a second, so that a turn"
+        f" is known to {math.degrees(min(usual, math.pi)):.0f} degrees.",
+        "Record it 10 times a second or more, or turn slower.",
+    )
 
 
 def _turned_by_rolling(down: FloatArray) -> FloatArray:
