@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
+# The sigma of a heading of which nothing is known: all of the circle is as likely.
+NO_HEADING_RAD = math.pi / math.sqrt(3.0)
 
 
 def wrap_pi(angle_rad: ArrayLike) -> Any:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mavcompass.calibration.model import GAIN, GYRO_SCALE, HORIZONTAL, MOTOR, NO_HEADING_RAD
+from mavcompass.calibration.model import GAIN, GYRO_SCALE, HORIZONTAL, MOTOR
 from mavcompass.calibration.motion.fit import MotionFit
 from mavcompass.calibration.motion.honesty import Honesty
 from mavcompass.calibration.motion.observed import Motion
@@ -16,7 +16,7 @@ from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.positions import WIDENED_BELOW, FourPositionsResult
 from mavcompass.calibration.result import DEFAULT_LIMITS, UNCERTAIN, Limits
 from mavcompass.calibration.rigid import DEFAULT_PRIOR, IronPrior
-from mavcompass.frames import FloatArray, circle_covered_rad
+from mavcompass.frames import NO_HEADING_RAD, FloatArray, circle_covered_rad
 from mavcompass.units import DEG_PER_RAD
 
 # The Earth's horizontal field is between these nearly everywhere people drive: its total never leaves 220 to

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mavcompass.calibration.model import NO_HEADING_RAD, gain_parameters
+from mavcompass.calibration.model import gain_parameters
 from mavcompass.calibration.mounting import (
     TURNED_RAD,
     as_set,
@@ -34,7 +34,7 @@ from mavcompass.compass_parameters import is_calibrated, orientation_name
 from mavcompass.compass_parameters.orientations import NUMBERED_WITHIN_RAD, angle_between
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import PoorCalibration
-from mavcompass.frames import FloatArray, euler_to_matrix, wrap_pi
+from mavcompass.frames import NO_HEADING_RAD, FloatArray, euler_to_matrix, wrap_pi
 from mavcompass.heading.evidence import (
     FLOOR_RAD,
     CompassHeading,

@@ -22,11 +22,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mavcompass.frames import FloatArray, level_to_body
+from mavcompass.frames import NO_HEADING_RAD, FloatArray, level_to_body
 from mavcompass.heading.compute import level_field
 
-# The sigma of a heading of which nothing is known: all of the circle is as likely.
-NO_HEADING_RAD = math.pi / math.sqrt(3.0)
 # Places of the quantities in the state vector; the K headings follow.
 OFFSET = slice(0, 3)
 GAIN = slice(3, 9)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mavcompass.calibration.first_state import swing_mgauss
-from mavcompass.calibration.model import HORIZONTAL, NO_HEADING_RAD, OFFSET, VERTICAL
+from mavcompass.calibration.model import HORIZONTAL, OFFSET, VERTICAL
 from mavcompass.calibration.motion.fit import MotionFit, begin
 from mavcompass.calibration.motion.observed import observe_motion
 from mavcompass.calibration.motion.sections import Sections
@@ -28,7 +28,7 @@ from mavcompass.compass_parameters import mounting_values, sensor_to_body, value
 from mavcompass.compass_parameters.orientations import NUMBERED, angle_between, nearest
 from mavcompass.correction import IDENTITY
 from mavcompass.errors import PoorCalibration, Refused
-from mavcompass.frames import FloatArray
+from mavcompass.frames import NO_HEADING_RAD, FloatArray
 from mavcompass.heading.compute import level_field
 from mavcompass.printable import named
 from mavcompass.track import Series, Track

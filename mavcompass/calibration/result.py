@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from mavcompass.calibration.model import ACCELEROMETER, NO_HEADING_RAD, HeadingError
+from mavcompass.calibration.model import ACCELEROMETER, HeadingError
 from mavcompass.correction import IDENTITY, FieldCorrection
-from mavcompass.frames import FloatArray
+from mavcompass.frames import NO_HEADING_RAD, FloatArray
 from mavcompass.heading.deviation import DeviationCard, deviation_card, heading_change_rad
 from mavcompass.heading.true_north import TrueNorth
 

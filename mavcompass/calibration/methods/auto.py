@@ -7,12 +7,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from mavcompass.calibration.methods import ellipsoid, four_positions, world_field
-from mavcompass.calibration.model import NO_HEADING_RAD
 from mavcompass.calibration.motion.left_out import last_stretch, since
 from mavcompass.calibration.motion.observed import Motion, motion_or_none, observe_motion
 from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult, surest
 from mavcompass.errors import PoorCalibration
+from mavcompass.frames import NO_HEADING_RAD
 from mavcompass.heading.deviation import heading_change_rad
 
 # Two methods that are both sure must agree within so many of their sigmas.

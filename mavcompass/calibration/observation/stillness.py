@@ -15,7 +15,6 @@ from itertools import pairwise
 import numpy as np
 
 from mavcompass.attitude import levels, moving_average
-from mavcompass.calibration.model import NO_HEADING_RAD
 from mavcompass.calibration.observation.detector import (
     LONGEST_SWING_RAD,
     RATE_SMOOTHING_S,
@@ -40,7 +39,7 @@ from mavcompass.calibration.observation.turning import (
     turn_record,
 )
 from mavcompass.errors import PoorCalibration
-from mavcompass.frames import FloatArray, circle_covered_rad
+from mavcompass.frames import NO_HEADING_RAD, FloatArray, circle_covered_rad
 from mavcompass.track import Track
 
 _SHORTEST_DWELL_S = 1.0
