@@ -68,6 +68,8 @@ class Transaction:
         command = restore_command(self.source, undo_file, context.system)
         count = _called(new)
         doing = f"Setting {count} for a while; if they stay" if plan.for_now else f"Writing {count}; to undo"
+        if all(change.old == change.new for change in plan.changes):
+            doing = f"Noting {count}, which the autopilot is about to change; to undo"
         context.show("write", f"{doing}: {command}")
         try:
             echoes_s = yield from protocol.write(context, new, self.encoding)
