@@ -109,12 +109,11 @@ def test_what_goes_with_height_is_judged_by_what_the_simulator_has_of_it() -> No
     assert case.baseline is not None
     anomaly = np.array([300.0, -150.0, 500.0])
     vehicle = over_iron_in_the_ground(case.track, anomaly)
-    again = [over_iron_in_the_ground(case.baseline, share * anomaly) for share in (0.95, 0.0)]
-    comparison = compare(case.baseline, vehicle, again)
+    again = over_iron_in_the_ground(case.baseline, 0.95 * anomaly)
+    comparison = compare(case.baseline, vehicle, [again])
     assert [d.cause.effect for d in comparison.differences] == ["height_anomaly"]
-    nearly, not_at_all = comparison.achieved
+    (nearly,) = comparison.achieved
     assert nearly.shrink == pytest.approx(comparison.told.field.shrink, abs=0.05)
-    assert not_at_all.shrink < 0.1
 
 
 def test_a_recording_is_replayed_once_whichever_side_it_is_on() -> None:

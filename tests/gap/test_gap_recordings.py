@@ -87,7 +87,7 @@ def test_preset_in_our_simulator_closes_the_recorded_gap_as_claimed(
 def test_attached_magnet_is_a_step_with_its_moments(shared_data: Path) -> None:
     """A hand attaches a magnet near 45 s and takes it away near 100 s; each takes it a second."""
     path = shared_data / "real" / "broad" / "34_disturbed_attached_magnet_3cm.csv"
-    diagnosis = diagnose_gap(read_track(path).between(20.0, 125.0))
+    diagnosis = diagnose_gap(read_track(path).between(25.0, 108.0))
     step = next(c for c in diagnosis.causes if c.effect == "hard_iron_step")
     size = np.linalg.norm([step.parameters[axis] for axis in "xyz"])
     assert size == pytest.approx(137.0, abs=5.0)
@@ -158,4 +158,4 @@ def test_second_compass_of_a_flight_follows_the_motors_current(shared_data: Path
 def test_a_recording_that_breaks_off_all_the_time_is_refused(shared_data: Path) -> None:
     track = read_track(shared_data / "real" / "hmc5883l-hand-rotation" / "full-sphere.csv")
     with pytest.raises(BadRecording, match="breaks between readings"):
-        diagnose_gap(track)
+        diagnose_gap(track.between(0.0, 60.0))
