@@ -65,10 +65,7 @@ def errors_deg(track: Track, true: FloatArray, own_rad: float = 0.001) -> tuple[
     # An accelerometer's own error, as it is mounted, counts beside what motion hides.
     sigma = np.hypot(found.sigma_rad.at(time), own_rad)
     usable = np.isfinite(off2)
-    return (
-        float(np.sqrt(off2[usable].mean())) / DEG,
-        float(np.sqrt((off2 / sigma**2)[usable].mean())),
-    )
+    return (float(np.sqrt(off2[usable].mean())) / DEG, float(np.sqrt((off2 / sigma**2)[usable].mean())))
 
 
 @pytest.mark.parametrize("way", ["circle", "weave", "hard", "stand"])

@@ -178,10 +178,7 @@ _NASTY = "f\x1b[31mred\x07\nmavcompass: all is well"
     ],
 )
 def test_a_file_name_neither_colours_the_terminal_nor_forges_a_line(
-    arguments: list[str],
-    capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str], capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     main(arguments)

@@ -14,12 +14,7 @@ from mavcompass.cli.terminal.lines import card
 
 @pytest.mark.parametrize(
     ("heading_deg", "drawn"),
-    [
-        (0.0, "·  ·  N  ·  ·"),
-        (92.0, "·  ·  E  ·  ·"),
-        (359.0, "·  ·  N  ·  ·"),
-        (315.0, "·  ·  NW ·  ·"),
-    ],
+    [(0.0, "·  ·  N  ·  ·"), (92.0, "·  ·  E  ·  ·"), (359.0, "·  ·  N  ·  ·"), (315.0, "·  ·  NW ·  ·")],
 )
 def test_the_card_has_the_heading_in_its_middle(heading_deg: float, drawn: str) -> None:
     assert card(heading_deg, 13) == drawn

@@ -9,11 +9,7 @@ import pytest
 
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray, wrap_pi
-from mavcompass.heading.doubt import (
-    UNKNOWN_CALIBRATION_SIGMA_RAD,
-    CalibrationDoubt,
-    prior_sigma_mgauss,
-)
+from mavcompass.heading.doubt import UNKNOWN_CALIBRATION_SIGMA_RAD, CalibrationDoubt, prior_sigma_mgauss
 
 WORLD = EarthField((200.0, 0.0, 400.0))
 

@@ -92,9 +92,7 @@ def test_what_is_not_known_says_nothing() -> None:
 
 
 @given(
-    st.lists(st.floats(-180.0, 180.0), min_size=1, max_size=5),
-    st.floats(-720.0, 720.0),
-    st.floats(0.1, 10.0),
+    st.lists(st.floats(-180.0, 180.0), min_size=1, max_size=5), st.floats(-720.0, 720.0), st.floats(0.1, 10.0)
 )
 def test_only_differences_count_and_probabilities_are_some(
     headings: list[float], turn: float, sigma: float

@@ -16,12 +16,7 @@ IMU = (11, "IMU", "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
 ATT = (12, "ATT", "Qccccfff", "TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw,E")
 PARM = (13, "PARM", "QNf", "TimeUS,Name,Value")
 MSG = (14, "MSG", "QZ", "TimeUS,Message")
-GPS = (
-    15,
-    "GPS",
-    "QBIHBcLLefff",
-    "TimeUS,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ",
-)
+GPS = (15, "GPS", "QBIHBcLLefff", "TimeUS,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ")
 BAT = (16, "BAT", "QBff", "TimeUS,Inst,Volt,Curr")
 FMTU = (20, "FMTU", "QBNN", "TimeUS,FmtType,UnitIds,MultIds")
 UNIT = (21, "UNIT", "QbZ", "TimeUS,Id,Label")

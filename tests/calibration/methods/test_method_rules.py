@@ -106,12 +106,6 @@ def test_the_extremes_of_a_turn_centre_it(method: str) -> None:
     assert stretch == pytest.approx(1.1 / 0.9, rel=0.01)
 
 
-# --- a length's fit ------------------------------------------------------------------------------------
-
-
-# --- what is learnt while it works ------------------------------------------------------------------------
-
-
 # --- an attitude that owes nothing to a compass ----------------------------------------------------------
 
 

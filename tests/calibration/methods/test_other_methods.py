@@ -62,12 +62,6 @@ def test_wrong_steps_show_in_the_left_over_equation() -> None:
     assert max(abs(a.left_over) for a in axes) > 3.0
 
 
-# ---- the wire ----
-
-
-# ---- all-round and world-field ----
-
-
 # ---- observability, deviation, repetition, stillness ----
 
 

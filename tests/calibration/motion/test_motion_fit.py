@@ -120,19 +120,6 @@ def test_fewer_than_four_sections_are_refused() -> None:
         fit_of(four.chosen(np.arange(3)), EARTH)
 
 
-def test_the_sigma_is_the_scatter_of_fits() -> None:
-    clean = sections_of()
-    chance = np.random.default_rng(8)
-    off = []
-    for _ in range(10):
-        noisy = replace(
-            clean, mean_mgauss=clean.mean_mgauss + chance.normal(0.0, 1.0 / math.sqrt(20.0), (K, 3))
-        )
-        off.append(fit_of(noisy, EARTH).offset_mgauss[:2])
-    claimed = np.sqrt(np.diag(fit_of(clean, EARTH).covariance)[:2])
-    assert np.std(off, axis=0) == pytest.approx(claimed, rel=0.5)
-
-
 def test_an_accelerometers_error_is_an_offset_by_the_dip(found: MotionFit) -> None:
     by_roll, by_pitch = fit.leaning_error(sections_of(), found).T
     # On the level: roll turns Z into y, pitch into x; T is nearly one.

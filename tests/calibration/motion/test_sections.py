@@ -9,6 +9,8 @@ import pytest
 
 from mavcompass.calibration.motion import sections
 from mavcompass.calibration.observation import wire
+from mavcompass.correction import FieldCorrection
+from mavcompass.track import InForce, MagSeries, Series, Track
 
 TIME = np.arange(0.0, 20.0, 0.1)
 STILL, LEVEL = np.zeros(TIME.size), np.tile([0.0, 0.0, 1.0], (TIME.size, 1))
@@ -22,19 +24,17 @@ def cut(**changed: np.ndarray) -> tuple[list[float], list[int]]:
     return [round(float(values["time"][k]), 1) for k in edges[:-1]], visit.tolist()
 
 
-@pytest.mark.parametrize(
-    "changed",
-    [
-        {"angle": np.where(TIME < 3.0, 0.0, math.radians(-25.0))},
-        {"down": np.where(TIME[:, np.newaxis] < 3.0, LEVEL, [0.2, 0.0, 0.98])},
-        {"load": np.where(TIME < 3.0, 0.0, np.where(TIME < 19.0, 2.0, 10.0))},
-        {"time": np.where(TIME < 2.95, TIME, TIME + 1.1)},
-    ],
-    ids=["turn", "lean", "load", "gap"],
-)
-def test_a_turn_a_lean_a_load_and_a_gap_begin_another(changed: dict[str, np.ndarray]) -> None:
-    begins, visits = cut(**changed)
+def test_a_gap_begins_another() -> None:
+    begins, visits = cut(time=np.where(TIME < 2.95, TIME, TIME + 1.1))
     assert 2.9 < begins[1] < 4.2 and visits[-1] >= 1
+
+
+def test_readings_around_a_change_of_the_parameters_are_unsettled() -> None:
+    steps = tuple(InForce(t, FieldCorrection()) for t in (-math.inf, 5.0, 15.0))
+    field = Series.of(TIME, np.zeros((TIME.size, 3)))
+    found = TIME[sections.unsettled(Track(compasses={1: MagSeries(1, field, steps)}), 1)]
+    assert found.min() == pytest.approx(3.1) and found.max() == pytest.approx(16.9) and found.size == 2 * 39
+    assert not sections.unsettled(Track(compasses={1: MagSeries(1, field)}), 1).any()
 
 
 LONG = np.arange(0.0, 800.0, 0.1)

@@ -8,11 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavcompass.calibration.observation import (
-    Dwell,
-    FourPositionData,
-    dwell_between,
-)
+from mavcompass.calibration.observation import Dwell, FourPositionData, dwell_between
 from mavcompass.calibration.observation.dwells import _memory
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import PoorCalibration

@@ -10,12 +10,7 @@ import pytest
 from made_up_recordings import four_stops, hovering, tumbling, wandering, with_magnet
 
 from mavcompass.attitude import levels
-from mavcompass.calibration.observation import (
-    StillnessDetector,
-    find_dwells,
-    turn_record,
-    turns_between,
-)
+from mavcompass.calibration.observation import StillnessDetector, find_dwells, turn_record, turns_between
 from mavcompass.calibration.observation.dwells import dwell_between, tilt_during
 from mavcompass.track import Track
 
@@ -66,12 +61,7 @@ def test_stretches(track: Track, as_stored: AsStored) -> None:
 
 def test_down(track: Track, as_stored: AsStored) -> None:
     level = levels(track)
-    as_stored(
-        {
-            "down": level.down.values[::70],
-            "sigma": level.sigma_rad.values[::70],
-        }
-    )
+    as_stored({"down": level.down.values[::70], "sigma": level.sigma_rad.values[::70]})
 
 
 @pytest.mark.parametrize("wheels", [False, True])

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 
 from mavcompass.calibration.observation import turn_record
-from mavcompass.calibration.observation.turning import (
-    TurnRecord,
-)
+from mavcompass.calibration.observation.turning import TurnRecord
 from mavcompass.frames import FloatArray
 from mavcompass.track import MagSeries, Series, Track
 

@@ -7,11 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mavcompass.calibration.observation.wire import (
-    fresh_readings,
-    unquantise,
-    white_noise,
-)
+from mavcompass.calibration.observation.wire import fresh_readings, unquantise, white_noise
 from mavcompass.frames import FloatArray
 
 CHANCE = np.random.default_rng(11)

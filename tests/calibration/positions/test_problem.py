@@ -10,12 +10,7 @@ import pytest
 from calibration_worlds import FIELD, Iron, four_positions
 
 from mavcompass.calibration.methods.four_positions import calibrate_positions
-from mavcompass.calibration.model import (
-    GAIN,
-    HEADINGS,
-    OFFSET,
-    gain_parameters,
-)
+from mavcompass.calibration.model import GAIN, HEADINGS, OFFSET, gain_parameters
 from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.positions import PositionProblem
 from mavcompass.calibration.rigid import DEFAULT_PRIOR, weigh_cross_terms

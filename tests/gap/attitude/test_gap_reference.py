@@ -17,10 +17,7 @@ from mavcompass.frames import (
     rotate_back,
     rotvec_to_matrix,
 )
-from mavcompass.gap.attitude.kinematics import (
-    integrated,
-    products,
-)
+from mavcompass.gap.attitude.kinematics import integrated, products
 from mavcompass.gap.attitude.reference import body_rate, reference_attitude
 from mavcompass.gap.attitude.sensors import bias_at_rest, local_position
 from mavcompass.gap.trial.cases import Recipe, make_track, stimulus_of

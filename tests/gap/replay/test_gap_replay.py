@@ -14,11 +14,7 @@ from mavcompass.gap.attitude.reference import body_rate
 from mavcompass.gap.detectors.detect import names_stale, names_step
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.replay.nominal import Replay, replay, untestable_effects
-from mavcompass.gap.replay.nuisance import (
-    WORLD_FIELD,
-    Prior,
-    reference_attitude_error,
-)
+from mavcompass.gap.replay.nuisance import WORLD_FIELD, Prior, reference_attitude_error
 from mavcompass.gap.replay.rows import compass_rows
 from mavcompass.gap.residual.floor import from_recording, with_predictive_variance
 from mavcompass.gap.selection.split import split_blocks

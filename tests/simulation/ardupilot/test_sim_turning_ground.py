@@ -124,11 +124,7 @@ def test_targets_mean_nothing_outside_guided_or_disarmed(station):
 
 
 @pytest.mark.parametrize(
-    "message",
-    [
-        m.RcChannelsOverride(1, 1, chan1_raw=1800),
-        m.ManualControl(target=1, x=0, y=600, z=0, r=0),
-    ],
+    "message", [m.RcChannelsOverride(1, 1, chan1_raw=1800), m.ManualControl(target=1, x=0, y=600, z=0, r=0)]
 )
 def test_sticks_of_the_own_ground_station_steer_in_manual(station, message):
     s = exact(station)

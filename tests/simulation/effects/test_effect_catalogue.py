@@ -79,9 +79,7 @@ def test_live_blocks_give_what_the_whole_recording_gives(effect_id: str) -> None
     edges = [0, 1, 2, 5, 90, 91, 250, 400]
     parts = [
         live.apply(
-            cut(stimulus, slice(a, b)),
-            Reading(*(getattr(reading, n)[a:b] for n in Reading.__slots__)),
-            rng,
+            cut(stimulus, slice(a, b)), Reading(*(getattr(reading, n)[a:b] for n in Reading.__slots__)), rng
         )
         for a, b in pairwise(edges)
     ]
