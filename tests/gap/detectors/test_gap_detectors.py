@@ -25,7 +25,7 @@ from mavcompass.gap.trial.vehicles.cases import make_case
 from mavcompass.simulation.effects import catalogue
 from mavcompass.simulation.effects.effect import Misfit, Signals
 from mavcompass.simulation.physics.signals import Reading, Stimulus
-from mavcompass.track import Series
+from mavcompass.track import Series, Track
 
 B = np.array([6.0, -9.0, 4.0])
 NOISE = 2.0
@@ -281,15 +281,9 @@ def test_step_is_looked_for_beside_a_constant() -> None:
     assert best[3] == pytest.approx(21.0, abs=0.1) and best[:3] == pytest.approx(B, abs=1e-6)
 
 
-def test_long_telemetry_names_what_averaged_rows_hide() -> None:
+def test_what_may_not_be_named_is_not_taken_for_noise_and_stays_in_the_readings() -> None:
     case = make_case(304241175, "single")
     assert [effect for effect, _ in case.effects] == ["set_reset_offset"]
-    found = diagnose_gap(case.track, case.baseline)
-    assert found.verdict == "named" and found.effects == {"set_reset_offset"}
-    assert (
-        found.field.nominal == pytest.approx(27.3, rel=0.05) and found.field.after < 1.25 * found.field.floor
-    )
-    # Where it may not be named it is not taken for noise either, and stays in the readings.
     now, before = (replay(t, 1, "auto", 0.3) for t in (case.track, case.baseline) if t is not None)
     traces, left = detect(now, before, 2.0, 2.6, frozenset({"noise_excess"}), exact=False)
     assert not traces.causes and traces.excess_mgauss2 == 0.0 and left is now
@@ -443,14 +437,20 @@ def test_the_doubt_of_the_quiet_scatter_is_what_it_scatters_by() -> None:
     assert squares.mean() == pytest.approx(36.0, rel=3.0 * doubt / math.sqrt(60.0) + 0.02)
 
 
+def freezing(from_s: int) -> tuple[Track, Track]:
+    """Return a flight of a minute, and the same with a compass that says one thing from a moment on."""
+    live = make_track(Recipe("figure-8", duration_s=60.0, rate_hz=10.0, seed=2))
+    live = replace(live, autopilot="ardupilot")
+    values = np.array(live.compasses[1].reported.values)
+    values[10 * from_s :] = values[10 * from_s]
+    compass = replace(live.compasses[1], reported=Series.of(live.compasses[1].time_s, values))
+    return live, replace(live, compasses={1: compass})
+
+
 @pytest.mark.parametrize("beside_a_baseline", [True, False])
 def test_a_compass_that_says_the_same_throughout_is_frozen(beside_a_baseline: bool) -> None:
     """It was refused for too few readings, which a person would answer by recording once more."""
-    recipe = Recipe("figure-8", duration_s=60.0, rate_hz=10.0, seed=2)
-    live = replace(make_track(recipe), autopilot="ardupilot")
-    stuck = np.tile(live.compasses[1].reported.values[:1], (600, 1))
-    compass = replace(live.compasses[1], reported=Series.of(live.compasses[1].time_s, stuck))
-    frozen = replace(live, compasses={1: compass})
+    live, frozen = freezing(0)
     diagnosis = diagnose_gap(frozen, live if beside_a_baseline else None)
     assert diagnosis.effects == {"stale_samples"} and diagnosis.verdict == "named_with_remainder"
     assert diagnosis.causes[0].parameters["fraction"] > 0.97
@@ -459,23 +459,14 @@ def test_a_compass_that_says_the_same_throughout_is_frozen(beside_a_baseline: bo
 @pytest.mark.parametrize("from_s", [20, 40])
 def test_a_compass_that_freezes_on_the_way_is_told_without_a_baseline(from_s: int) -> None:
     """It was "nothing to do": repeats are telemetry's nature, but not for as long while the vehicle turns."""
-    live = replace(
-        make_track(Recipe("figure-8", duration_s=60.0, rate_hz=10.0, seed=2)), autopilot="ardupilot"
-    )
-    values = np.array(live.compasses[1].reported.values)
-    values[10 * from_s :] = values[10 * from_s]
-    compass = replace(live.compasses[1], reported=Series.of(live.compasses[1].time_s, values))
-    diagnosis = diagnose_gap(replace(live, compasses={1: compass}))
+    diagnosis = diagnose_gap(freezing(from_s)[1])
     assert diagnosis.effects == {"stale_samples"}
     assert diagnosis.causes[0].parameters["fraction"] == pytest.approx(1.0 - from_s / 60.0, abs=0.05)
 
 
 def test_a_compass_of_a_vehicle_that_stands_still_may_say_the_same() -> None:
-    recipe = Recipe("figure-8", duration_s=60.0, rate_hz=10.0, seed=2)
-    live = replace(make_track(recipe), autopilot="ardupilot")
-    stuck = np.tile(live.compasses[1].reported.values[:1], (600, 1))
-    compass = replace(live.compasses[1], reported=Series.of(live.compasses[1].time_s, stuck))
-    assert live.gyro_radps is not None
-    resting = Series.of(live.gyro_radps.time_s, np.zeros_like(live.gyro_radps.values))
+    frozen = freezing(0)[1]
+    assert frozen.gyro_radps is not None
+    resting = Series.of(frozen.gyro_radps.time_s, np.zeros_like(frozen.gyro_radps.values))
     with pytest.raises(BadRecording, match="too few"):
-        diagnose_gap(replace(live, compasses={1: compass}, gyro_radps=resting))
+        diagnose_gap(replace(frozen, gyro_radps=resting))

@@ -125,6 +125,7 @@ def test_rows_of_a_flight_are_earlier_than_their_readings_by_how_late_these_are(
     came = rows.time_s[middles(rows.time_s.size, rows.width)]
     np.testing.assert_allclose(came - replayed.time_s, replayed.late_s, atol=1e-9)
     assert replay(case.track, period_s=0.0).late_s == 0.0
+    assert replay(case.track, period_s=0.3, most_averaged=1).averaged == 1
 
 
 def test_what_a_flight_leaves_is_the_same_whenever_its_rows_are_taken() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -28,46 +29,38 @@ def case(tier: Tier, separation: float, answered: Answer | None = None, **more: 
     return replace(made, **more)  # type: ignore[arg-type]
 
 
+NAN = math.nan
+SINGLE, NEAR = "single, d_sep >= 9: exact", "single, d_sep 5 to 9: in the set"
+NOISY = "single without shift (noise, steps, repeats): exact"
+PAIR, PAIR_NEAR = "pair, both d_sep >= 9: exact", "pair, both d_sep >= 9: in the set"
+HIDDEN, MISNAMED = "withheld, d_perp >= 12: flagged", "withheld, d_perp >= 12: misnamed"
+OUTSIDE, OUT_MISNAMED = "outside, d_perp >= 12: flagged", "outside, d_perp >= 12: misnamed"
+AGAIN, AGAIN_NEAR = "restored, d_perp >= 12 and d_sep >= 9: exact", "restored, d_perp >= 12: in the set"
+ORACLE, COVERS = "restored: within 5 % of the oracle", "shrink's interval covers the true shrink"
+NOTHING = "no effect: named or unknown"
+withheld, shrunk = partial(case, "withheld", 12.0), partial(case, "single", 9.0)
+
+
 @pytest.mark.parametrize(
     ("line", "counted", "left_out"),
     [
-        ("no effect: named or unknown", case("none", math.nan), case("single", 20.0)),
-        ("single, d_sep >= 9: exact", case("single", 9.0), case("single", 8.99)),
-        ("single, d_sep >= 9: exact", case("single", 50.0), case("pair", 50.0)),
-        ("single, d_sep 5 to 9: in the set", case("single", 5.0), case("single", 4.99)),
-        ("single, d_sep 5 to 9: in the set", case("single", 8.99), case("single", 9.0)),
-        (
-            "single without shift (noise, steps, repeats): exact",
-            case("single", math.nan),
-            case("single", 9.0),
-        ),
-        ("pair, both d_sep >= 9: exact", case("pair", 9.0), case("pair", 8.99)),
-        ("pair, both d_sep >= 9: in the set", case("pair", 9.0), case("single", 9.0)),
-        ("withheld, d_perp >= 12: flagged", case("withheld", 12.0), case("withheld", 11.99)),
-        ("withheld, d_perp >= 12: misnamed", case("withheld", 12.0), case("outside", 12.0)),
-        ("outside, d_perp >= 12: flagged", case("outside", 12.0), case("outside", 11.99)),
-        ("outside, d_perp >= 12: misnamed", case("outside", 12.0), case("withheld", 12.0)),
-        (
-            "restored, d_perp >= 12 and d_sep >= 9: exact",
-            case("withheld", 12.0, own_separation=9.0),
-            case("withheld", 12.0, own_separation=8.99),
-        ),
-        ("restored, d_perp >= 12: in the set", case("withheld", 12.0), case("withheld", 11.99)),
-        (
-            "restored: within 5 % of the oracle",
-            case("withheld", 12.0, oracle_shrink=1.0),
-            case("withheld", 12.0, oracle_shrink=math.nan),
-        ),
-        (
-            "shrink's interval covers the true shrink",
-            case("single", 9.0, true_shrink=0.5),
-            case("single", 9.0, true_shrink=math.nan),
-        ),
-        (
-            "shrink's interval covers the true shrink",
-            case("single", 9.0, true_shrink=0.5),
-            case("single", 9.0, answer(shrink_ci95=(math.nan, math.nan)), true_shrink=0.5),
-        ),
+        (NOTHING, case("none", NAN), case("single", 20.0)),
+        (SINGLE, case("single", 9.0), case("single", 8.99)),
+        (SINGLE, case("single", 50.0), case("pair", 50.0)),
+        (NEAR, case("single", 5.0), case("single", 4.99)),
+        (NEAR, case("single", 8.99), case("single", 9.0)),
+        (NOISY, case("single", NAN), case("single", 9.0)),
+        (PAIR, case("pair", 9.0), case("pair", 8.99)),
+        (PAIR_NEAR, case("pair", 9.0), case("single", 9.0)),
+        (HIDDEN, case("withheld", 12.0), case("withheld", 11.99)),
+        (MISNAMED, case("withheld", 12.0), case("outside", 12.0)),
+        (OUTSIDE, case("outside", 12.0), case("outside", 11.99)),
+        (OUT_MISNAMED, case("outside", 12.0), case("withheld", 12.0)),
+        (AGAIN, withheld(own_separation=9.0), withheld(own_separation=8.99)),
+        (AGAIN_NEAR, withheld(), case("withheld", 11.99)),
+        (ORACLE, withheld(oracle_shrink=1.0), withheld(oracle_shrink=NAN)),
+        (COVERS, shrunk(true_shrink=0.5), shrunk(true_shrink=NAN)),
+        (COVERS, shrunk(true_shrink=0.5), shrunk(answer(shrink_ci95=(NAN, NAN)), true_shrink=0.5)),
     ],
 )
 def test_a_line_counts_its_own_cases_only(line: str, counted: Case, left_out: Case) -> None:
@@ -79,64 +72,24 @@ def test_a_line_counts_its_own_cases_only(line: str, counted: Case, left_out: Ca
 @pytest.mark.parametrize(
     ("line", "hit", "miss"),
     [
+        (NOTHING, case("none", 0.0, answer("unknown")), case("none", 0.0, answer("no_gap"))),
+        (SINGLE, shrunk(), shrunk(exact=False)),
+        (NEAR, case("single", 5.0, exact=False), case("single", 5.0, in_set=False)),
+        (PAIR, case("pair", 9.0), case("pair", 9.0, exact=False)),
+        (PAIR_NEAR, case("pair", 9.0, exact=False), case("pair", 9.0, in_set=False)),
+        (HIDDEN, withheld(withheld=answer("unknown")), withheld(withheld=answer("named"))),
+        (MISNAMED, withheld(withheld=answer("named")), withheld(withheld=answer("no_gap"))),
         (
-            "no effect: named or unknown",
-            case("none", 0.0, answer("unknown")),
-            case("none", 0.0, answer("no_gap")),
-        ),
-        ("single, d_sep >= 9: exact", case("single", 9.0), case("single", 9.0, exact=False)),
-        (
-            "single, d_sep 5 to 9: in the set",
-            case("single", 5.0, exact=False),
-            case("single", 5.0, in_set=False),
-        ),
-        ("pair, both d_sep >= 9: exact", case("pair", 9.0), case("pair", 9.0, exact=False)),
-        (
-            "pair, both d_sep >= 9: in the set",
-            case("pair", 9.0, exact=False),
-            case("pair", 9.0, in_set=False),
-        ),
-        (
-            "withheld, d_perp >= 12: flagged",
-            case("withheld", 12.0, withheld=answer("unknown")),
-            case("withheld", 12.0, withheld=answer("named")),
-        ),
-        (
-            "withheld, d_perp >= 12: misnamed",
-            case("withheld", 12.0, withheld=answer("named")),
-            case("withheld", 12.0, withheld=answer("no_gap")),
-        ),
-        (
-            "outside, d_perp >= 12: flagged",
+            OUTSIDE,
             case("outside", 12.0, answer("named_with_remainder")),
             case("outside", 12.0, answer("no_gap")),
         ),
-        (
-            "outside, d_perp >= 12: misnamed",
-            case("outside", 12.0, answer("named")),
-            case("outside", 12.0, answer("ambiguous")),
-        ),
-        (
-            "restored: within 5 % of the oracle",
-            case("withheld", 12.0, oracle_shrink=0.951),
-            case("withheld", 12.0, oracle_shrink=1.051),
-        ),
-        (
-            "shrink's interval covers the true shrink",
-            case("single", 9.0, true_shrink=0.4),
-            case("single", 9.0, true_shrink=0.39),
-        ),
-        (
-            "shrink's interval covers the true shrink",
-            case("single", 9.0, true_shrink=0.6),
-            case("single", 9.0, true_shrink=0.61),
-        ),
-        ("confident wrong names", case("none", 0.0, answer("named")), case("single", 9.0, answer("named"))),
-        (
-            "after above nominal",
-            case("single", 9.0, answer(after=2.001)),
-            case("single", 9.0, answer(after=2.0)),
-        ),
+        (OUT_MISNAMED, case("outside", 12.0, answer("named")), case("outside", 12.0, answer("ambiguous"))),
+        (ORACLE, withheld(oracle_shrink=0.951), withheld(oracle_shrink=1.051)),
+        (COVERS, shrunk(true_shrink=0.4), shrunk(true_shrink=0.39)),
+        (COVERS, shrunk(true_shrink=0.6), shrunk(true_shrink=0.61)),
+        ("confident wrong names", case("none", 0.0, answer("named")), shrunk(answer("named"))),
+        ("after above nominal", shrunk(answer(after=2.001)), shrunk(answer(after=2.0))),
     ],
 )
 def test_a_hit_and_a_miss(line: str, hit: Case, miss: Case) -> None:

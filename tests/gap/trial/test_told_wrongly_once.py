@@ -1,0 +1,49 @@
+"""Vehicles that once were told wrongly: what was put in is named, and how large it is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mavcompass.gap.diagnose import diagnose_gap
+from mavcompass.gap.replay.nominal import replay
+from mavcompass.gap.trial.vehicles import make_case
+from mavcompass.simulation.effects import catalogue
+
+
+def test_motors_that_reverse_work_either_way_and_switch_by_their_direction() -> None:
+    track = make_case(88021, "none", baseline=False).track
+    rover = replay(track)
+    motors = rover.signals.stimulus.motors
+    assert track.vehicle == "rover" and motors.min() < -0.02 < 0.1 < motors.max()
+    every = catalogue()
+    share = every["per_motor"].neutral()
+    share[:3] = 10.0, 0.0, 0.0
+    worked = every["per_motor"].forward(rover.signals, share, {}, None).reading.mag_mgauss
+    assert worked[:, 0] - rover.signals.reading.mag_mgauss[:, 0] == pytest.approx(10.0 * np.abs(motors[:, 0]))
+    back = every["relay_field"].forward(rover.signals, np.array([0.0, 0.0, 7.0, 2.0, -0.01]), {}, None)
+    closed = (back.reading.mag_mgauss - rover.signals.reading.mag_mgauss)[:, 2] > 3.0
+    assert np.array_equal(closed, motors[:, 0] > -0.01) and 0.0 < closed.mean() < 1.0
+
+
+@pytest.mark.parametrize(
+    ("seed", "effect", "sure", "within"),
+    [
+        (305923872, "stale_samples", False, {}),  # they scatter no more than the like of the baseline
+        (525895344, "stale_samples", False, {}),  # less than 60 readings are new
+        # A reference a degree below all that was recorded.
+        (212410973, "temperature_bias", True, {"reference_degc": 0.5, "x": 0.18}),
+        # The rows about it are set aside.
+        (2116634633, "hard_iron_step", True, {"on_s": 0.2, "x": 1.0, "y": 1.0, "z": 1.0}),
+        (304241175, "set_reset_offset", True, {}),  # averaged rows hide it
+    ],
+)
+def test_what_was_put_in_is_named(seed: int, effect: str, sure: bool, within: dict[str, float]) -> None:
+    case = make_case(seed, "single")
+    ((name, truth),) = case.effects
+    found = diagnose_gap(case.track, case.baseline)
+    assert name == effect and found.effects == {effect}
+    assert found.verdict == "named" or (found.verdict == "ambiguous" and not sure)
+    assert not sure or found.field.after < 1.25 * found.field.floor
+    for parameter, least in within.items():
+        assert found.causes[0].parameters[parameter] == pytest.approx(truth[parameter], abs=least)
