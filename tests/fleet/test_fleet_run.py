@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from fleet_samples import examine_or_die, mark_and_examine
+from fleet_samples import look_or_die, looked_at, mark_and_look
 
 from mavcompass.errors import LinkError, UsageError
 from mavcompass.fleet.columns import columns_of
@@ -65,7 +65,7 @@ def test_a_recording_that_kills_its_process_is_one_error_and_the_others_are_done
     deadly = tmp_path / "deadly.csv"
     deadly.write_bytes(Path(own_four[0].path).read_bytes())
     recordings = find_recordings([str(tmp_path)])
-    run_fleet(CALIBRATE, recordings, tmp_path / "out.parquet", TWO, examine_one=examine_or_die)
+    run_fleet(CALIBRATE, recordings, tmp_path / "out.parquet", TWO, examine_one=look_or_die)
     table = pq.read_table(tmp_path / "out.parquet")
     assert Counter(table["status"].to_pylist()) == {"ok": 4, "error": 1}
     row = next(row for row in table.to_pylist() if row["status"] == "error")
@@ -82,7 +82,7 @@ def test_the_same_on_a_dask_cluster(own_four: list[Recording], tmp_path: Path) -
         n_workers=2, threads_per_worker=1, dashboard_address=None, env={"PYTHONPATH": here}
     ) as cluster:
         engine = Engine(scheduler=cluster.scheduler_address, timeout_s=120.0)
-        run_fleet(CALIBRATE, recordings, tmp_path / "out.parquet", engine, examine_one=examine_or_die)
+        run_fleet(CALIBRATE, recordings, tmp_path / "out.parquet", engine, examine_one=look_or_die)
     table = pq.read_table(tmp_path / "out.parquet")
     assert Counter(table["status"].to_pylist()) == {"ok": 4, "error": 1}
     assert "WorkerDied" in table["error_kind"].to_pylist()
@@ -102,14 +102,14 @@ KILLED = """
 import sys
 from pathlib import Path
 from functools import partial
-from fleet_samples import mark_and_examine
+from fleet_samples import mark_and_look
 from mavcompass.fleet.examine import Job
 from mavcompass.fleet.recordings import find_recordings
 from mavcompass.fleet.engine import Engine
 from mavcompass.fleet.run import run_fleet
 folder = Path(sys.argv[1])
 run_fleet(Job("calibrate"), find_recordings([str(folder)]), folder / "out.parquet", Engine(2),
-          examine_one=partial(mark_and_examine, "begun"))
+          examine_one=partial(mark_and_look, "begun"))
 """
 
 
@@ -131,7 +131,7 @@ def test_a_run_that_was_killed_goes_on_and_does_nothing_twice(
     assert 3 <= len(kept)
     with journal.open("ab") as file:
         file.write(b'{"recording": "/torn')
-    again = partial(mark_and_examine, "begun-again")
+    again = partial(mark_and_look, "begun-again")
     result = run_fleet(CALIBRATE, own_twelve, out, TWO, examine_one=again)
     assert result.kept == len(kept) and result.examined == 12 - len(kept)
     begun_again = (tmp_path / "begun-again").read_text().split()
@@ -147,9 +147,9 @@ def test_an_interrupt_leaves_a_state_to_go_on_from(own_four: list[Recording], tm
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_fleet(CALIBRATE, own_four, out, TWO, on_progress=interrupt)
+        run_fleet(CALIBRATE, own_four, out, TWO, on_progress=interrupt, examine_one=looked_at)
     assert not out.exists()
-    result = run_fleet(CALIBRATE, own_four, out, TWO)
+    result = run_fleet(CALIBRATE, own_four, out, TWO, examine_one=looked_at)
     assert (result.kept, result.examined) == (2, 2)
 
 
@@ -172,11 +172,11 @@ def test_another_question_to_the_same_output_is_refused_unless_fresh(
     own_four: list[Recording], tmp_path: Path
 ) -> None:
     out = tmp_path / "out.parquet"
-    run_fleet(CALIBRATE, own_four[:1], out, ONE)
+    run_fleet(CALIBRATE, own_four[:1], out, ONE, examine_one=looked_at)
     other = Job("calibrate", method="sphere")
     with pytest.raises(UsageError, match="--fresh"):
         run_fleet(other, own_four[:1], out, ONE)
-    assert run_fleet(other, own_four[:1], out, ONE, fresh=True).examined == 1
+    assert run_fleet(other, own_four[:1], out, ONE, fresh=True, examine_one=looked_at).examined == 1
 
 
 def test_missing_pyarrow_is_said_before_the_work(

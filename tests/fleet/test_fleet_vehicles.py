@@ -6,10 +6,10 @@ import time
 from pathlib import Path
 
 import pytest
-from fleet_samples import write_recording
+from fleet_samples import looked_at, write_recording
 
 from mavcompass.fleet.engine import Engine
-from mavcompass.fleet.examine import Job, Row, examine
+from mavcompass.fleet.examine import Job, Row
 from mavcompass.fleet.recordings import find_recordings
 from mavcompass.fleet.run import Progress, run_fleet
 from mavcompass.fleet.summary import summarise
@@ -144,11 +144,11 @@ def test_iron_that_moved_is_dated_and_told_with_what_came_between() -> None:
     assert vehicle.histories[0].health == "moved by 4.0° until 1970-01-04, steady for 37 days"
 
 
-def slow_or_examine(job: Job, path: str) -> list[Row]:
-    """Examine, but a recording called slow only once it was noticed."""
+def slow_or_quick(job: Job, path: str) -> list[Row]:
+    """Look at a recording called slow only once it was noticed."""
     while Path(path).stem == "slow" and not Path(path).with_name("noticed").exists():
         time.sleep(0.02)
-    return examine(job, path)
+    return looked_at(job, path)
 
 
 def test_a_slow_recording_does_not_hold_the_page_and_is_named(tmp_path: Path) -> None:
@@ -170,7 +170,7 @@ def test_a_slow_recording_does_not_hold_the_page_and_is_named(tmp_path: Path) ->
         on_progress=look,
         on_rows=lambda rows, progress: pages.append((len(rows), progress.done)),
         rows_every_s=0.1,
-        examine_one=slow_or_examine,
+        examine_one=slow_or_quick,
     )
     assert result.examined == 3 and {row["status"] for row in result.rows} == {"ok"}
     path, seconds = named[0]
