@@ -102,7 +102,7 @@ def test_a_hand_that_jerks_is_no_change_of_iron(index: int) -> None:
     assert judged(case, ours.solution(result))["rms"] < 0.5
 
 
-@pytest.mark.parametrize("index", [0, 1, 19])
+@pytest.mark.parametrize("index", [0, 19])
 def test_iron_that_changed_in_a_hand_is_noticed(index: int) -> None:
     case = case_of("hand", index)
     by = np.where(case.mag_time < 45.0, 25.0, 0.0)[:, np.newaxis] * [0.6, -0.8, 0.0]

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from calibration_worlds import FIELD, Iron, four_positions, heading_errors, iron
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mavcompass import blas
 from mavcompass.calibration import calibrate_track, solve_four_positions
 from mavcompass.calibration.methods.ellipsoid import _length_jacobian
 from mavcompass.calibration.model import (
@@ -251,3 +253,11 @@ def test_one_thread_and_two_give_the_same_bytes() -> None:
         assert said
         digests.add(hashlib.sha256(said).hexdigest())
     assert len(digests) == 1
+
+
+def test_matrix_products_of_a_calibration_have_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    setter = Mock()
+    monkeypatch.setattr(blas, "_libraries", lambda: ((setter, lambda: 7),))
+    calibrate_track(turning_track(iron_of(FieldCorrection((60.0, -40.0, 25.0)))), "four-positions")
+    counts = [call.args[0] for call in setter.call_args_list]
+    assert counts[0] == 1 and counts[-1] == 7

@@ -103,7 +103,7 @@ def test_a_wrong_tilt_shows_in_the_strengths() -> None:
 def test_sigma_covers(place: EarthField | None, turn_rad: float) -> None:
     """Calibrations off by the iron that is supposed, looked at from one heading, a quarter and all."""
     rng, ratios = np.random.default_rng(3), []
-    for _ in range(400):
+    for _ in range(200):
         psi = rng.uniform(0.0, 6.3) + np.linspace(0.0, turn_rad, 40)
         seen = field(psi, rng.normal(0.0, 20.0, 3))
         doubt = CalibrationDoubt(20.0, place)

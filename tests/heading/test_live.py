@@ -120,7 +120,7 @@ def test_the_noise_is_that_of_the_strengths_about_their_sectors() -> None:
     level, chance, compass = leaning(0.0, 0.0), np.random.default_rng(5), LiveCompass(1)
     compass.calibration_sigma_rad = level.rate_radps = 0.0
     found = []
-    for k in range(1500):
+    for k in range(800):
         x, y, _ = 4.0 * chance.normal(size=3)
         for _ in range(2):  # twice the same says nothing
             heading = compass.update(0.5 * k, 0.0, (200.0 + x, 50.0 + y, 400.0), level)

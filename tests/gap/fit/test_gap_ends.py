@@ -1,7 +1,8 @@
-"""A fit ends where no step gains anything, and what came to its end is not fitted again."""
+"""A fit ends where no step gains anything; how far it bends what is known, and how seldom chance does so."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -18,10 +19,20 @@ from mavcompass.simulation.effects import catalogue, parse
 TRUE = "hard_iron:x=25,y=-10,z=5"
 
 
+def problem_of(*texts: str) -> Problem:
+    effects = [parse(text) for text in texts]
+    replayed = replay(make_track(Recipe("rich", duration_s=60.0, rate_hz=8.0, seed=6), effects))
+    return Problem(replayed, CASE_NOISE, replayed.valid, replayed.prior)
+
+
 @pytest.fixture(scope="module")
 def problem() -> Problem:
-    replayed = replay(make_track(Recipe("rich", duration_s=60.0, rate_hz=8.0, seed=6), [parse(TRUE)]))
-    return Problem(replayed, CASE_NOISE, replayed.valid, replayed.prior)
+    return problem_of(TRUE)
+
+
+@pytest.fixture(scope="module")
+def plain() -> Problem:
+    return problem_of()
 
 
 def fitted(problem: Problem, *start: float) -> Fit:
@@ -59,3 +70,28 @@ def test_what_came_to_its_end_stays_but_on_other_rows(
     assert problem.refit(end) is end and not runs
     assert problem.refit(begun).sse <= begun.sse
     assert some.refit(end) is not end and runs
+
+
+def bent(plain: Problem, sigmas: float) -> Fit:
+    """Return a fit whose known parameters are off by so many of their sigmas."""
+    prior = plain.prior
+    root = np.linalg.cholesky(np.linalg.inv(prior.precision))
+    return Fit(nuisances=prior.mean + prior.known * (root @ np.full(prior.mean.size, sigmas)))
+
+
+def test_what_is_where_it_is_known_to_be_is_no_surprise(plain: Problem) -> None:
+    assert plain.chance_of_mahalanobis2(bent(plain, 0.0)) == 1.0
+
+
+def test_chance_bends_as_the_chi_squared_law_says(plain: Problem) -> None:
+    known = int(plain.prior.known.sum())
+    assert known > 0
+    chances = [plain.chance_of_mahalanobis2(bent(plain, sigmas)) for sigmas in (0.5, 1.0, 2.0, 4.0)]
+    assert chances == sorted(chances, reverse=True)
+    # A draw of independent errors exceeds its own strain as often as it says.
+    rng = np.random.default_rng(5)
+    strains = np.sum(rng.standard_normal((4000, known)) ** 2, axis=1)
+    for sigmas, told in zip((0.5, 1.0), chances, strict=False):
+        fit = bent(plain, sigmas)
+        share = float(np.mean(strains > plain.mahalanobis2(fit)))
+        assert told == pytest.approx(share, abs=4.0 * math.sqrt(0.25 / 4000))

@@ -1,4 +1,4 @@
-"""The field where a recording was made: the model's, what other compasses say, or its own."""
+"""The field where a recording was made: the model's, what other compasses say, or its own; and its path."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from mavcompass.earth_field import earth_field
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
-from mavcompass.gap.replay.surroundings import world_field
+from mavcompass.gap.replay.surroundings import goes_about, world_field
 from mavcompass.gap.tables import usual
 from mavcompass.track import MagSeries, Series, Track
 
@@ -107,3 +107,18 @@ def test_without_a_place_the_field_is_its_own_median_in_the_world() -> None:
     assert sigma.tolist() == [usual.place.unknown_mgauss] * 3 and "cannot be judged" in note
     with pytest.raises(BadRecording, match="never speak at the same time"):
         found(recording(place=False), own, known=0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "radius_m", "about"),
+    # The spread of a circle is its radius over the square root of two.
+    [("fused", 1.7, False), ("fused", 4.0, True), ("columns", 0.05, False), ("columns", 0.5, True)],
+)
+def test_a_path_counts_where_it_is_longer_than_its_places_err(
+    kind: str, radius_m: float, about: bool
+) -> None:
+    turned = np.linspace(0.0, 12.0, 400)
+    circle = radius_m * np.stack([np.cos(turned), np.sin(turned), np.zeros(400)], axis=1)
+    reference: Any = SimpleNamespace(kind=kind)
+    assert goes_about(Series.of(5.0 * turned, circle), reference) == about
+    assert not goes_about(None, reference)

@@ -47,3 +47,11 @@ def test_what_was_put_in_is_named(seed: int, effect: str, sure: bool, within: di
     assert not sure or found.field.after < 1.25 * found.field.floor
     for parameter, least in within.items():
         assert found.causes[0].parameters[parameter] == pytest.approx(truth[parameter], abs=least)
+
+
+@pytest.mark.parametrize("seed", [1208850555, 1042849402])
+def test_gyro_stays_what_it_is_where_a_turned_compass_leans_the_autopilot(seed: int) -> None:
+    case = make_case(seed, "single")
+    assert [effect for effect, _ in case.effects] == ["orientation"] and case.baseline is not None
+    flight, before = (replay(track).reference.errors["gyro offset"] for track in (case.track, case.baseline))
+    np.testing.assert_allclose(flight.mean, before.mean, atol=0.006)

@@ -54,7 +54,7 @@ def any_message(draw):
 
 @pytest.mark.parametrize("vehicle", ["rover", "copter", "sub", "px4-copter"])
 @given(messages=st.lists(any_message(), max_size=25), armed=st.booleans())
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 def test_any_message_with_any_numbers_is_survived(vehicle, messages, armed):
     v = SimulatedAutopilot(vehicle, armed=armed, ready_s=0.1)
     for message in messages:
