@@ -107,8 +107,6 @@ def test_lag_of_a_steady_turn_is_the_field_of_the_angle_before() -> None:
 
 
 def test_dipole_on_its_axis_is_twice_the_moment_over_the_cube() -> None:
-    from mavcompass.simulation.effects.causes.world import dipole_field
-
     field = dipole_field(np.array([[2.0, 0.0, 0.0]]), np.zeros(3), np.array([80.0, 0.0, 0.0]))
     np.testing.assert_allclose(field, [[20.0, 0.0, 0.0]], rtol=4e-3)
 
