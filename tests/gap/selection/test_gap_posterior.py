@@ -64,6 +64,10 @@ def test_a_set_costs_what_it_leaves_what_it_strains_and_what_it_needs(spread: fl
     needs = 3.0 * PENALTY.parameter * math.log(ROWS) + PENALTY.effect
     assert told.best.fit is iron
     assert told.best.cost == pytest.approx((1000.0 - STRAIN) / spread + STRAIN + needs)
+    problem: Any = Problem({})
+    criteria = Criteria(problem, "baseline")
+    criteria.overdispersion = spread
+    assert criteria.score(iron) == pytest.approx(told.best.cost), "as the search weighs it"
     assert told.gain == pytest.approx(1000.0 / spread - needs)
     assert told.lead == pytest.approx(told.gain) and told.without("hard_iron") == pytest.approx(
         told.gain**0.5
