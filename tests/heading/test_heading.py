@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField, earth_field
-from mavcompass.errors import BadRecording
 from mavcompass.frames import euler_to_matrix, rotate_back, wrap_pi
 from mavcompass.heading import heading_of_track, level_heading, tilt_compensated_heading, two_axis_heading
 from mavcompass.heading.compute import grid_convergence_rad
@@ -58,12 +57,7 @@ def test_rows_give_what_single_readings_give() -> None:
     assert np.array_equal(rows, columns)
 
 
-def test_either_gravity_or_angles_are_needed() -> None:
-    with pytest.raises(ValueError, match="either"):
-        tilt_compensated_heading(FIELD)
-
-
-@given(dip=st.floats(-1.4, 1.4), roll=tilts, pitch=tilts, yaw=angles)
+@given(dip=st.floats(-1.4, 1.4), roll=tilts | st.floats(1.7, 3.0), pitch=tilts, yaw=angles)
 def test_two_axes_do_where_the_field_is_known(dip: float, roll: float, pitch: float, yaw: float) -> None:
     earth = 480.0 * np.array([math.cos(dip), 0.0, math.sin(dip)])
     field = body(roll, pitch, yaw, earth)
@@ -106,7 +100,7 @@ def test_grid_north_leaves_true_north_away_from_the_zones_middle() -> None:
     assert grid_convergence_rad(-45.0, 11.0) < 0.0
 
 
-def track_at(yaw: np.ndarray, place: bool = True) -> tuple[Track, EarthField]:
+def track_at(yaw: np.ndarray) -> tuple[Track, EarthField]:
     earth = earth_field(-35.3633, 149.1652, 584.0, 2026.5)
     time_s = np.arange(yaw.size) * 0.1
     field = rotate_back(
@@ -118,7 +112,7 @@ def track_at(yaw: np.ndarray, place: bool = True) -> tuple[Track, EarthField]:
             vehicle="rover",
             compasses={1: MagSeries(1, Series.of(time_s, field))},
             acc_mps2=Series.of(time_s, np.tile([0.0, 0.0, -9.80665], (yaw.size, 1))),
-            place=Series.of([0.0], [[-35.3633, 149.1652, 584.0]]) if place else None,
+            place=Series.of([0.0], [[-35.3633, 149.1652, 584.0]]),
             utc_offset_s=1782000000.0,
         ),
         earth,
@@ -136,24 +130,10 @@ def test_a_recording_gives_magnetic_true_and_grid_headings() -> None:
     assert (result.sigma_rad >= earth.declination_sigma_rad).all()
 
 
-def test_without_a_place_only_the_magnetic_heading_is_told() -> None:
-    track, _ = track_at(np.linspace(0.0, 6.2, 50), place=False)
-    result = heading_of_track(track)
-    assert result.true_rad is None and result.grid_rad is None
-    with pytest.raises(BadRecording, match="place"):
-        heading_of_track(track, two_axis=True)
-
-
 def test_a_bad_correction_shows_in_the_sigma() -> None:
     track, _ = track_at(np.linspace(0.0, 6.2, 50))
     good, bad = heading_of_track(track), heading_of_track(track, FieldCorrection((60.0, 0.0, 0.0)))
     assert bad.magnetic_sigma_rad.mean() > 5.0 * good.magnetic_sigma_rad.mean()
-
-
-def test_a_missing_compass_is_named() -> None:
-    track, _ = track_at(np.linspace(0.0, 1.0, 5))
-    with pytest.raises(BadRecording, match="compass 3"):
-        heading_of_track(track, instance=3)
 
 
 def test_two_degrees_are_level_no_more() -> None:
@@ -166,14 +146,6 @@ def test_two_degrees_are_level_no_more() -> None:
     gained.update(400.0, 0.0, 0.0, 0.0)
     measured = math.hypot(400.0, 480.0 * math.sin(0.9))
     assert gained.total_mgauss == pytest.approx(480.0 + 0.02 * (measured - 480.0))
-
-
-@given(dip=st.floats(-1.4, 1.4), roll=st.floats(1.7, 3.0), pitch=tilts, yaw=angles)
-def test_two_axes_do_upside_down(dip: float, roll: float, pitch: float, yaw: float) -> None:
-    earth = 480.0 * np.array([math.cos(dip), 0.0, math.sin(dip)])
-    field = body(roll, pitch, yaw, earth)
-    assume(abs(field[2]) > 5.0)
-    assert abs(wrap_pi(two_axis_heading(field[:2], roll, pitch, 480.0, dip) - yaw)) < 1e-6
 
 
 def test_five_headings_make_a_deviation_card() -> None:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from calibration_worlds import four_positions, iron_of
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from mavcompass.calibration import StillnessDetector, calibrate_positions
@@ -19,7 +19,7 @@ from mavcompass.calibration.observation.detector import Stillness
 from mavcompass.calibration.positions import next_pose
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray
-from mavcompass.heading.deviation import deviation_card, fit_deviation
+from mavcompass.heading.deviation import deviation_card
 
 STRONG = FieldCorrection((120.0, -80.0, 40.0), (1.1, 0.9, 1.0))
 
@@ -75,17 +75,6 @@ def test_a_tilted_pose_is_what_a_level_turn_lacks() -> None:
     assert free.sigma_tilted_rad < level.sigma_tilted_rad
     assert all(math.degrees(p.turn_rad) % 45.0 == pytest.approx(0.0, abs=1e-9) for p in (free, level))
     assert math.degrees(max(abs(free.roll_rad), abs(free.pitch_rad))) == pytest.approx(15.0)
-
-
-@given(b=st.floats(-8, 8), c=st.floats(-8, 8), d=st.floats(-3, 3), e=st.floats(-3, 3), a=st.floats(-5, 5))
-@settings(max_examples=50)
-def test_the_five_coefficients_come_back(a: float, b: float, c: float, d: float, e: float) -> None:
-    compass = np.arange(16) * math.pi / 8
-    deviation = (
-        a + b * np.sin(compass) + c * np.cos(compass) + d * np.sin(2 * compass) + e * np.cos(2 * compass)
-    )
-    card = fit_deviation(compass, compass + np.radians(deviation))
-    assert np.allclose(list(card.coefficients_deg.values()), [a, b, c, d, e], atol=1e-9)
 
 
 def test_the_card_shows_the_irons() -> None:
