@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from calibration_worlds import FIELD, Iron, four_positions, heading_errors, iron_of, rms, turning_track
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavcompass import api
@@ -58,6 +58,7 @@ def test_the_offset_is_the_reading_less_the_field_at_that_heading() -> None:
     assert heading_errors(result.correction, iron) == pytest.approx(0.0, abs=0.01)
 
 
+@settings(max_examples=40)
 @given(
     st.floats(0.0, 2.0 * math.pi),
     st.floats(0.8, 1.2),

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from calibration_worlds import FIELD, Iron, four_positions, heading_errors, iron_of, rms, turning_track
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavcompass import api
@@ -39,6 +39,7 @@ def touched_up(
     return calibrate_positions(data, in_force, earth, prior=DEFAULT_PRIOR.of(in_force))
 
 
+@settings(max_examples=40)
 @given(
     st.floats(0.0, 2.0 * math.pi),
     st.floats(math.radians(61.0), math.radians(299.0)),
