@@ -26,7 +26,7 @@ HIDDEN = {"SIM_MAG1_OFS_X": -60.0, "SIM_MAG1_OFS_Y": 35.0, "SIM_MAG1_OFS_Z": -20
 SPEED = 20.0
 
 
-def bends(seconds: float = 32.0, kind: str = "rover") -> Profile:
+def bends(seconds: float = 24.0, kind: str = "rover") -> Profile:
     """Drive bends to both sides at a walking pace."""
     time_s = np.arange(0.0, seconds, 0.1)
     rate = np.where((time_s // 10.0) % 2 == 0, 0.5, -0.35)
