@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 # At most so many lines now, and where they should get to. A number here falls with its room; who raises one
 # says why in the commit.
 LINES = {
-    "package gap": (13_415, 10_500),
+    "package gap": (13_423, 10_500),
     "package simulation": (7_907, 5_800),
     "package attitude calibration heading": (9_099, 5_400),
     "package vehicle messages enums.py": (7_737, 5_200),
@@ -18,8 +18,8 @@ LINES = {
     "package service": (5_278, 4_100),
     "package logs": (4_497, 3_600),
     "package cli": (4_012, 2_900),
-    "package": (65_750, 46_500),
-    "tests": (42_093, 29_000),
+    "package": (65_758, 46_500),
+    "tests": (42_094, 29_000),
     "scripts benchmarks/compassbench": (1_565, 1_000),
     "scripts": (10_074, 4_400),
 }

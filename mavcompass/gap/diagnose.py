@@ -14,7 +14,7 @@ from mavcompass.gap.answer.evidence import Evidence
 from mavcompass.gap.attitude.reference import Choice, steered_by
 from mavcompass.gap.attitude.sensors import sensor_faults
 from mavcompass.gap.detectors.detect import Detected, detect, searched
-from mavcompass.gap.replay.nominal import Replay, half_testable, replay, untestable_effects
+from mavcompass.gap.replay.nominal import Replay, broken, half_testable, replay, untestable_effects
 from mavcompass.gap.replay.rows import shared_period_s
 from mavcompass.gap.residual.baseline import from_baseline
 from mavcompass.gap.residual.floor import Floor, from_recording, with_predictive_variance
@@ -100,6 +100,9 @@ def examine(
 
     # 2. Doubtful sensors, and with them what the recording can tell
     now, before = doubting(now, before, every)
+    split = split_blocks(now.time_s, now.valid)
+    if not (split.train.any() and split.test.any()):
+        raise broken(track.source)
     untestable = untestable_effects(now, every, before is not None and before.telemetry)
     half = half_testable(now, every)
     weighed = every if among is None else [e for e in every if e.id in among]

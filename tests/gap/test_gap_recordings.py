@@ -155,7 +155,8 @@ def test_second_compass_of_a_flight_follows_the_motors_current(shared_data: Path
     assert all("motor_current" in ids for ids, _ in diagnosis.ambiguity_set)
 
 
-def test_a_recording_that_breaks_off_all_the_time_is_refused(shared_data: Path) -> None:
+@pytest.mark.parametrize("end_s", [30.0, 40.0, 60.0])  # two rows are left, one, none
+def test_a_recording_that_breaks_off_all_the_time_is_refused(shared_data: Path, end_s: float) -> None:
     track = read_track(shared_data / "real" / "hmc5883l-hand-rotation" / "full-sphere.csv")
     with pytest.raises(BadRecording, match="breaks between readings"):
-        diagnose_gap(track.between(0.0, 60.0))
+        diagnose_gap(track.between(0.0, end_s))

@@ -127,6 +127,14 @@ class Replay:
         )
 
 
+def broken(source: str) -> BadRecording:
+    """Say that nothing is left of a recording beside its breaks."""
+    return BadRecording(
+        f"{source or 'The recording'} has breaks between readings all the time.",
+        "Record compass and attitude together, at an even rate.",
+    )
+
+
 def replay(
     track: Track,
     instance: int = 1,
@@ -196,10 +204,7 @@ def replay(
     # What was before the recording is not known, and what is late or smoothed says it at first.
     valid = reference.known & usable & (time_s - time_s[0] >= LONGEST_LAG_S)
     if not valid.any():
-        raise BadRecording(
-            f"{track.source or 'The recording'} has breaks between readings all the time.",
-            "Record compass and attitude together, at an even rate.",
-        )
+        raise broken(track.source)
     inertial: tuple[tuple[Group, FloatArray], ...] = (("acc", acc), ("gyro", gyro))
     motion_note: tuple[str, ...] = ()
     for name, values in inertial:
