@@ -60,21 +60,13 @@ def numbers(vehicle: Vehicle, number: MavCmd) -> list[tuple[int, int]]:
     return [(int(c.param1), int(c.param2)) for c in vehicle.heard if c.command == number]
 
 
-def acknowledging(*results: int) -> Vehicle:
-    vehicle = Vehicle()
-    left = list(results)
-    vehicle.answers = lambda asked: (  # type: ignore[method-assign]
-        vehicle.heard.append(asked) or ([mav.CommandAck(asked.command, left.pop(0))] if left else [])  # type: ignore[func-returns-value]
-    )
-    return vehicle
-
-
-def commanded(vehicle: Vehicle, **more: Any) -> tuple[Any, Machine[Any], list[str], float]:
-    return talk(lambda context: command(context, MavCmd.COMPONENT_ARM_DISARM, 1.0, **more), vehicle)
-
-
 def test_an_answer_that_is_no_answer_counts_as_failed() -> None:
-    assert commanded(acknowledging(77))[0] == MavResult.FAILED
+    vehicle = Vehicle()
+    vehicle.answers = lambda asked: [mav.CommandAck(asked.command, 77)]  # type: ignore[method-assign]
+    assert (
+        talk(lambda context: command(context, MavCmd.COMPONENT_ARM_DISARM, 1.0), vehicle)[0]
+        == MavResult.FAILED
+    )
 
 
 RAW, ATTITUDE = mav.message_id(mav.RawImu), mav.message_id(mav.Attitude)

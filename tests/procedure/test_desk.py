@@ -11,8 +11,8 @@ from mavcompass import messages as mav
 from mavcompass.errors import Refused
 from mavcompass.kinds import Kind
 from mavcompass.procedure.desk import Desk
-from mavcompass.procedure.motion import Mobility
-from mavcompass.procedure.positions import Mover
+from mavcompass.procedure.motion import Mobility, Permissions
+from mavcompass.procedure.positions import HandMover, Mover, VehicleMover
 from mavcompass.procedure.script import Context, Machine, Script, Tick, nothing
 from mavcompass.procedure.turning import TurnBy
 from mavcompass.procedure.vehicle_state import VehicleIdentity, VehicleState
@@ -89,8 +89,21 @@ class Charge:
             for message in self.heard:
                 self.state.hear(mav.Incoming(0.1 * step, 1, 1, message))
             machine.step(Tick(0.1 * step))
-        assert machine.done
+        assert machine.done or self.mobility.permissions.arm
         return machine
+
+
+@pytest.mark.parametrize(
+    ("motion", "armed", "arms", "who"),
+    [("auto", True, False, VehicleMover), ("auto", False, False, HandMover), ("auto", False, True, "arms"),
+     ("vehicle", True, False, VehicleMover), ("vehicle", False, False, Refused),
+     ("hand", True, True, Refused), ("hand", False, True, HandMover), ("none", True, True, Mover)],
+)  # fmt: skip
+def test_the_vehicle_turns_itself_where_it_is_armed_or_may_be_and_a_person_else(
+    motion: Any, armed: bool, arms: bool, who: Any
+) -> None:
+    taken = Charge(armed=armed, motion=motion, permissions=Permissions(arm=arms)).taken()
+    assert (type(taken.error or taken.result) if taken.done else "arms") == who
 
 
 def test_what_nobody_knows_how_to_turn_is_refused() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -50,3 +51,12 @@ def quiet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningService]:
 def running(start_service: StartService) -> RunningService:
     """A service on an armed rover with a badly calibrated first compass."""
     return start_service()
+
+
+@pytest.fixture
+def manager(tmp_path: Path) -> Iterator[socket.socket]:
+    """The service manager's ear."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(str(tmp_path / "notify"))
+        receiver.settimeout(30.0)
+        yield receiver

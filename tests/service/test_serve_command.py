@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -20,14 +20,6 @@ from click.testing import CliRunner
 from mavcompass.cli.serve import command
 from mavcompass.errors import UsageError
 from mavcompass.service import addresses
-
-
-@pytest.fixture
-def manager(tmp_path: Path) -> Iterator[socket.socket]:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as receiver:
-        receiver.bind(str(tmp_path / "notify"))
-        receiver.settimeout(30.0)
-        yield receiver
 
 
 def test_it_serves_tells_the_manager_stays_small_and_ends_on_sigterm(

@@ -69,13 +69,7 @@ def test_a_badly_calibrated_vehicle_fails_and_the_turn_shows_it() -> None:
         ("rover", "auto", False, None, None),
         ("rover", "vehicle", False, None, "it is disarmed."),
         ("rover", "hand", True, None, "it is armed, and turning it by hand is not safe."),
-        (
-            "quadplane",
-            "vehicle",
-            True,
-            "FW",
-            "this ardupilot plane cannot turn on the spot.",
-        ),
+        ("quadplane", "vehicle", True, "FW", "this ardupilot plane cannot turn on the spot."),
         ("quadplane", "auto", True, "FW", None),
         ("rover", "auto", True, "MANUAL", None),  # it refuses, and nobody asked for it
     ],
@@ -110,6 +104,12 @@ def test_what_turns_all_along_shows_no_drift_of_its_gyro_and_the_field_of_any_mo
     report = checked(vehicle, "none")
     assert verdicts(report, "stillness") == ["warn"] and verdicts(report, "gyro") == []
     assert verdicts(report, "field") == ["pass"]
+
+
+def test_a_declination_that_is_set_by_hand_is_the_one_in_the_autopilots_yaw() -> None:
+    by_hand = {"COMPASS_AUTODEC": 0.0, "COMPASS_DEC": 0.4}
+    vehicle = SimulatedAutopilot("rover", seed=2, calibration="exact", parameters=by_hand)
+    assert verdicts(checked(vehicle, "none"), "yaw") == ["pass"]
 
 
 def test_the_check_changes_nothing_on_the_vehicle() -> None:

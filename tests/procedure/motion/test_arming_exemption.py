@@ -8,9 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from bent_vehicles import calibrated, perform
+from bent_vehicles import calibrated, overheard, perform
 
 from mavcompass.errors import Refused
+from mavcompass.messages import ParamSet
 from mavcompass.procedure.dialect import Overrides
 from mavcompass.procedure.motion import Permissions
 from mavcompass.procedure.motion.readiness import arming_reasons
@@ -29,7 +30,7 @@ CALIBRATION = ("COMPASS_OFS_", "COMPASS_DIA_", "COMPASS_ODI_", "COMPASS_SCALE", 
 ALL_BUT_THE_COMPASS = float(sum(1 << bit for bit in range(1, 21)) - 4)
 
 
-def with_iron(kind: str, seed: int, mgauss: float, **parameters: float) -> SimulatedAutopilot:
+def with_iron(kind: str, seed: int, mgauss: float) -> SimulatedAutopilot:
     """Make a vehicle on the ground whose first compass has iron beside it that nothing in force knows."""
     world = SimulatedAutopilot(kind, seed=seed).world
     setups = list(draw_compasses(seed, world.horizontal_mgauss, "old"))
@@ -37,9 +38,7 @@ def with_iron(kind: str, seed: int, mgauss: float, **parameters: float) -> Simul
     x, y, z = iron.offsets_mgauss
     bent = (x + mgauss * math.cos(toward), y + mgauss * math.sin(toward), z)
     setups[0] = replace(setups[0], in_force=replace(iron, offsets_mgauss=bent))
-    vehicle = SimulatedAutopilot(
-        kind, seed=seed, compasses=setups, armed=False, ready_s=2.0, parameters=parameters
-    )
+    vehicle = SimulatedAutopilot(kind, seed=seed, compasses=setups, armed=False, ready_s=2.0)
     vehicle.advance(8.0)
     return vehicle
 
@@ -140,6 +139,15 @@ def test_px4_has_a_parameter_for_some_of_it(said: Sequence[str], values: dict[st
     with pytest.raises(StopIteration) as end:
         next(make_dialect("px4").arming_exemption(Context(), arming_reasons(said)))
     assert end.value.value == values
+
+
+def test_what_a_quarter_turn_has_shown_is_not_put_in_force_where_nothing_is_to_be_written(
+    tmp_path: Path,
+) -> None:
+    vehicle = with_iron("rover", 3, 300.0)
+    heard = overheard(vehicle)
+    assert calibrated(vehicle, tmp_path, replace(settings("rover", "yes"), writing="never")).accepted
+    assert not [m for m in heard if isinstance(m, ParamSet) and m.param_id.startswith(CALIBRATION)]
 
 
 def test_what_a_killed_run_has_left_is_put_back_by_the_next(tmp_path: Path) -> None:

@@ -92,7 +92,10 @@ def dwelt(
 def test_a_dwell_ends_as_soon_as_the_heading_is_sure_enough() -> None:
     assert dwelt(sureness=lambda a, b: 0.15)[0] == pytest.approx(0.92, abs=0.09)
     assert dwelt(sureness=lambda a, b: 0.16)[0] == pytest.approx(1.4, abs=0.13)  # no surer than at half
-    assert dwelt(sureness=lambda a, b: 0.3 / (b - a))[0] == pytest.approx(1.7, abs=0.09)  # but getting surer
+    asked = list[float]()
+    surer = lambda a, b: asked.append(b - a) or 0.3 / (b - a)  # type: ignore[func-returns-value]  # noqa: E731
+    assert dwelt(sureness=surer)[0] == pytest.approx(1.7, abs=0.09)
+    assert asked[:3] == pytest.approx([0.6, 0.92, 1.06], abs=0.09)  # no sooner than it may end
     assert dwelt(DwellSettings(shortest_s=1.2), lambda a, b: 0.1)[0] == pytest.approx(1.2, abs=0.09)
     # What is not at rest is not asked.
     assert dwelt(sureness=lambda a, b: 0.0, resting=False)[0] == pytest.approx(1.7, abs=0.09)

@@ -87,6 +87,17 @@ def test_the_rate_falls_toward_the_end(sense: float) -> None:
     assert len(vehicle.asked) == pytest.approx(10.0 * seconds, abs=3) and vehicle.did == ["stand", "stand"]
 
 
+@pytest.mark.parametrize(("degrees", "most_dps"), [(30.0, 30.0 / 4.1), (200.0, 40.0)])
+def test_a_rate_grows_for_as_long_as_its_way_says_to_what_is_slowed_down_from_in_time(
+    degrees: float, most_dps: float
+) -> None:
+    vehicle = Vehicle(GyroAngle())
+    moved, *_ = turned(steered(vehicle, coast_s=0.0, speed_up_s=4.0, slow_down_s=2.0), vehicle, degrees)
+    rates = [rate for rate, _ in vehicle.asked]
+    assert moved and max(rates) == pytest.approx(most_dps, rel=0.08)
+    assert rates[18] == pytest.approx(0.5 * most_dps, rel=0.1)  # after two seconds
+
+
 @pytest.mark.parametrize(("coasts_deg", "driven_deg"), [(0.0, 88.5), (24.0, 90.0 - 1.6 * 40.0), (500.0, 2.0)])
 def test_coasting_is_expected_and_then_learned_within_bounds(coasts_deg: float, driven_deg: float) -> None:
     vehicle = Vehicle(GyroAngle())
@@ -104,12 +115,8 @@ def test_a_vehicle_that_has_not_turned_six_degrees_in_three_seconds_does_not_mov
     moved, degrees, seconds = turned(steered(vehicle), vehicle, 90.0)
     assert moved is moves
     if not moves:
-        assert seconds == pytest.approx(3.05, abs=0.06) and vehicle.did == [
-            "stand",
-            "stand",
-            "let go",
-            "let go",
-        ]
+        assert seconds == pytest.approx(3.05, abs=0.06)
+        assert vehicle.did == ["stand", "stand", "let go", "let go"]
     else:
         assert seconds == pytest.approx(3.0 + 3.0 * 90.0 / 15.0, abs=0.1)  # then it is enough
         assert degrees < 90.0

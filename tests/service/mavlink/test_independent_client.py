@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import os
 import struct
-import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as wire
 from running_service import RunningService, configured, wait_for
+from serving import serving
 
 from mavcompass.service.run import Service
 from mavcompass.simulation.vehicle import SimulatedAutopilot
-from mavcompass.vehicle.links.server import VehicleServer
-from mavcompass.vehicle.stopping import StopRequest
+from mavcompass.vehicle.transport import UdpOut
 from mavcompass.vehicle.transport.udp import UdpTransport
 
 SPEED = 6.0
@@ -76,20 +73,6 @@ class GroundStation:
         self._socket.close()
 
 
-@contextmanager
-def vehicle_calling(port: int, vehicle: SimulatedAutopilot) -> Iterator[None]:
-    """A vehicle that sends to a UDP port, as an autopilot or router does."""
-    stop = StopRequest()
-    transport = UdpTransport.speaking_to("127.0.0.1", port)
-    server = VehicleServer(vehicle, transport, speed=SPEED)
-    thread = threading.Thread(target=server.serve, args=(stop,), daemon=True)
-    thread.start()
-    yield
-    stop.reason = "the test is over"
-    thread.join(10.0)
-    transport.close()
-
-
 @pytest.fixture
 def port() -> int:
     with_transport = UdpTransport.listening("127.0.0.1", 0)
@@ -102,8 +85,7 @@ def port() -> int:
 def served(tmp_path: Path, port: int) -> Iterator[RunningService]:
     service = Service(configured(tmp_path, f"udpin:127.0.0.1:{port}"))
     vehicle = SimulatedAutopilot("rover", seed=3)
-    vehicle.moor(str(os.getpid()))
-    with vehicle_calling(port, vehicle), RunningService(service, None) as running:
+    with serving(vehicle, UdpOut("127.0.0.1", port), SPEED), RunningService(service, None) as running:
         yield running
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -11,17 +13,16 @@ from mavcompass import messages as mav
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
 from mavcompass.enums import MagCalStatus, MavCmd, MavResult, MavSeverity
-from mavcompass.errors import Refused
 from mavcompass.heading.live import Heading, LiveCompass
 from mavcompass.procedure.script import Show
 from mavcompass.procedure.vehicle_state import VehicleIdentity
-from mavcompass.service.config import ServiceConfig
+from mavcompass.service.config import MavlinkConfig, ServiceConfig
 from mavcompass.service.mavlink import component
 from mavcompass.service.mavlink.component import GroundStationReporter
 from mavcompass.service.view import VehicleView
 from mavcompass.service.watch import Finding
 from mavcompass.service.work.clock import Schedule
-from mavcompass.service.work.tasks import Busy, CalibrationRequest, CheckRequest, Desk, Task
+from mavcompass.service.work.tasks import CalibrationRequest, CheckRequest, Desk, Task
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.simulated import SimulatedLink
 from mavcompass.vehicle.wire import decode, encode
@@ -199,50 +200,69 @@ def test_names_of_values_fit_their_field() -> None:
         assert value.time_boot_ms == 70500
 
 
-def test_one_request_at_a_time() -> None:
-    desk = Desk()
-    first = desk.submit(CalibrationRequest(), "http", "now")
-    with pytest.raises(Busy, match="under way"):
-        desk.submit(CheckRequest(), "mavlink", "now")
-    assert desk.take() is first
-    assert desk.take() is None
-    first.fail(ValueError("x"))
-    assert desk.submit(CheckRequest(), "http", "now").number == 2
-    desk.close("stopping")
-    assert desk.current is not None and desk.current.finished
-    with pytest.raises(Refused, match="stopping"):
-        desk.submit(CheckRequest(), "http", "now")
+Heard = list[mav.Message]
 
 
-def test_the_pilot_is_told_of_a_finding_once_for_as_long_as_it_lasts() -> None:
-    vehicle = SimulatedAutopilot("rover", seed=1)
-    heard: list[mav.Message] = []
+@pytest.fixture
+def station() -> Iterator[tuple[SimulatedLink, Heard]]:
+    """A link on which all that is told to ground stations is heard."""
+    vehicle, heard = SimulatedAutopilot("rover", seed=1), Heard()
     vehicle.receive = lambda message, *_: heard.append(message)  # type: ignore[method-assign]
+    with SimulatedLink(vehicle) as link:
+        yield link, heard
+
+
+def view_of(heard_s: float = 0.0) -> VehicleView:
+    return VehicleView(VehicleIdentity(1, 1, "ardupilot", "rover"), "rover", 2026.0, heard_s=heard_s)
+
+
+def test_the_pilot_is_told_of_a_finding_once_for_as_long_as_it_lasts(
+    station: tuple[SimulatedLink, Heard],
+) -> None:
+    link, heard = station
     dip, field = (
         Finding(name, 1, severity, f"Compass 1: {name}", "It is off.", "")
         for name, severity in (("dip", "warning"), ("field", "bad"))
     )
     reporter = GroundStationReporter(ServiceConfig(), Desk(), Schedule())
-    view = VehicleView(VehicleIdentity(1, 1, "ardupilot", "rover"), "rover", 2026.0)
-    with SimulatedLink(vehicle) as link:
-        for at_s, findings in enumerate(((), (dip,), (dip,), (field, dip), (field,), (field, dip))):
-            reporter.tell(link, view, findings, float(at_s))
+    for at_s, findings in enumerate(((), (dip,), (dip,), (field, dip), (field,), (field, dip))):
+        reporter.tell(link, view_of(), findings, float(at_s))
     told = [(message.severity, message.text) for message in heard if isinstance(message, mav.Statustext)]
     dip_told, field_told = (MavSeverity.WARNING, "Compass 1: dip"), (MavSeverity.ERROR, "Compass 1: field")
     assert told == [dip_told, field_told, dip_told]
 
 
+@pytest.mark.parametrize(("there", "texts", "reports"), [(True, True, 8), (True, False, 8), (False, True, 0)])
+def test_progress_is_told_five_times_a_second_the_end_once_and_the_report_eight_times(
+    there: bool, texts: bool, reports: int, station: tuple[SimulatedLink, Heard]
+) -> None:
+    """A second apart, as nobody acknowledges a report; none into a cut link."""
+    (link, heard), desk, kinds = station, Desk(), list[Counter[type[mav.Message]]]()
+    reporter = GroundStationReporter(ServiceConfig(mavlink=MavlinkConfig(statustext=texts)), desk, Schedule())
+    task = desk.submit(CalibrationRequest((1,)), "http", "now")
+    for tenth in range(200):
+        if tenth == 10:
+            desk.take()
+        if tenth == 50:
+            task.results = (result(),)
+            task.finish(True, {"written": True}, None)
+        reporter.tell(link, view_of(math.inf if there else 0.1 * tenth - 2.1), (), 0.1 * tenth)
+        if tenth in (49, 50, 118):
+            kinds.append(Counter(type(message) for message in heard))
+    running, ended, later = kinds
+    assert running[mav.MagCalProgress] == pytest.approx(20, abs=2) == later[mav.MagCalProgress]
+    assert ended[mav.Statustext] == later[mav.Statustext] == texts and not running[mav.Statustext]
+    assert (ended[mav.MagCalReport], later[mav.MagCalReport]) == (bool(reports), reports - bool(reports))
+
+
 @pytest.mark.parametrize(("true_rad", "told_deg"), [(1.5, 85.9), (None, 57.3)])
 def test_the_heading_told_is_the_true_one_where_the_declination_is_known(
-    true_rad: float | None, told_deg: float
+    true_rad: float | None, told_deg: float, station: tuple[SimulatedLink, Heard]
 ) -> None:
-    vehicle = SimulatedAutopilot("rover", seed=1)
-    heard: list[mav.Message] = []
-    vehicle.receive = lambda message, *_: heard.append(message)  # type: ignore[method-assign]
-    view = VehicleView(VehicleIdentity(1, 1, "ardupilot", "rover"), "rover", 2026.0)
+    (link, heard), view = station, view_of()
     view.compasses[1] = LiveCompass(1)
     view.compasses[1].latest = Heading(4.5, 20.0, 1, 1.0, true_rad, 0.02, (200.0, 0.0, 400.0))
-    with SimulatedLink(vehicle) as link:
-        GroundStationReporter(ServiceConfig(), Desk(), Schedule()).tell(link, view, (), 5.0)
+    for now_s in (5.0, 5.6):  # the latest is of a second ago, and no heading of now
+        GroundStationReporter(ServiceConfig(), Desk(), Schedule()).tell(link, view, (), now_s)
     values = [message.value for message in heard if isinstance(message, mav.NamedValueFloat)]
     assert values == pytest.approx([told_deg, 1.15], abs=0.05)

@@ -102,13 +102,13 @@ def test_a_write_is_not_fooled_by_the_echo_of_its_neighbour() -> None:
     assert [vehicle.values[name] for name in wanted] == [120.0, -80.0, 40.0]
 
 
-def test_a_value_that_the_vehicle_will_not_take_is_told_with_what_it_keeps() -> None:
-    vehicle = ParameterVehicle()
-    vehicle.stuck.add("COMPASS_OFS_Y")
-    with pytest.raises(wire.ValueRefused, match=r"keeps COMPASS_OFS_Y at 13 instead of -80"):
-        Radio(vehicle).run(
-            lambda context: wire.write(context, {"COMPASS_OFS_Y": values.Parameter(-80.0)}, "cast")
-        )
+@pytest.mark.parametrize(("axis", "kept"), [("X", 5), ("Y", 13)])  # of an _X all three are told
+def test_a_value_that_the_vehicle_keeps_in_seven_tries_is_refused_by_it(axis: str, kept: int) -> None:
+    vehicle, name = ParameterVehicle(), f"COMPASS_OFS_{axis}"
+    vehicle.stuck.add(name)
+    with pytest.raises(wire.ValueRefused, match=f"keeps {name} at {kept} instead of -80"):
+        Radio(vehicle).run(lambda context: wire.write(context, {name: values.Parameter(-80.0)}, "cast"))
+    assert vehicle.writes == [name] * 7
 
 
 @given(st.integers(-(2**31), 2**31 - 1))

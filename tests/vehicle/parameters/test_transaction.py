@@ -16,16 +16,15 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from parameter_vehicle import COMPONENT, SYSTEM, ParameterVehicle, PX4Vehicle, Radio, ardupilot_parameters
+from parameter_vehicle import SYSTEM, ParameterVehicle, PX4Vehicle, Radio, ardupilot_parameters
 
 from mavcompass.correction import FieldCorrection
 from mavcompass.enums import MavCmd
 from mavcompass.errors import LinkError, MavCompassError, Refused, WriteFailed
-from mavcompass.messages import Incoming, Message, ParamSet, ParamValue
+from mavcompass.messages import Message, ParamRequestRead, ParamSet, ParamValue
 from mavcompass.printable import counted
 from mavcompass.procedure.dialect import Change, ParameterPlan
 from mavcompass.procedure.nameplate import Nameplate
-from mavcompass.procedure.script import Machine, Stop, Tick
 from mavcompass.vehicle.dialects import CompassDialect, make_dialect
 from mavcompass.vehicle.parameters.files import read_parameter_file
 from mavcompass.vehicle.parameters.transaction import _sentence
@@ -184,20 +183,18 @@ def test_a_plan_that_changes_nothing_sends_nothing(tmp_path: Path) -> None:
     assert not radio.sent and not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e39])
-def test_what_is_not_a_number_is_refused_before_anything_is_sent(value: float, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("new", "refusals", "why"),
+    [*((value, (), "not a number") for value in (math.nan, math.inf, -math.inf, 1e39)),
+     (6.0, ("The vehicle says no.",), "says no")],
+)  # fmt: skip
+def test_what_is_refused_or_no_number_is_so_before_anything_is_sent(
+    new: float, refusals: tuple[str, ...], why: str, tmp_path: Path
+) -> None:
     radio = Radio(ParameterVehicle())
-    with pytest.raises(Refused, match="not a number"):
-        write(radio, ParameterPlan((Change("COMPASS_OFS_X", 5.0, value),)), tmp_path)
+    with pytest.raises(Refused, match=why):
+        write(radio, ParameterPlan((Change("COMPASS_OFS_X", 5.0, new),), refusals=refusals), tmp_path)
     assert not radio.sent and not list(tmp_path.iterdir())
-
-
-def test_a_refused_plan_is_not_written(tmp_path: Path) -> None:
-    radio = Radio(ParameterVehicle())
-    plan = ParameterPlan((Change("COMPASS_OFS_X", 5.0, 6.0),), refusals=("The vehicle says no.",))
-    with pytest.raises(Refused, match="says no"):
-        write(radio, plan, tmp_path)
-    assert not radio.sent
 
 
 def test_values_that_moved_since_the_plan_are_not_overwritten(tmp_path: Path) -> None:
@@ -207,6 +204,18 @@ def test_values_that_moved_since_the_plan_are_not_overwritten(tmp_path: Path) ->
     with pytest.raises(WriteFailed, match="COMPASS_OFS_Y is 99 now and was 13"):
         write(Radio(vehicle), plan, tmp_path)
     assert not vehicle.writes and not list(tmp_path.iterdir())
+
+
+def test_what_does_not_answer_though_it_exists_is_asked_for_long_and_nothing_is_written(
+    tmp_path: Path,
+) -> None:
+    vehicle = ParameterVehicle()
+    vehicle.deaf.add("COMPASS_OFS_Y")
+    radio = Radio(vehicle)
+    with pytest.raises(WriteFailed, match="does not answer for COMPASS_OFS_Y"):
+        write(radio, plan_for(vehicle), tmp_path)
+    asked = [m for m in radio.sent if isinstance(m, ParamRequestRead) and m.param_id == "COMPASS_OFS_Y"]
+    assert len(asked) == 25 and not vehicle.writes and not list(tmp_path.iterdir())
 
 
 def test_a_refused_value_undoes_all_that_was_written(tmp_path: Path) -> None:
@@ -266,30 +275,6 @@ def test_a_procedure_that_is_ended_says_what_it_leaves(tmp_path: Path) -> None:
     with pytest.raises(WriteFailed) as failed:
         write(Radio(vehicle, stop_s=0.5), plan, tmp_path)
     assert failed.value.restore_command.startswith("mavcompass params restore")
-
-
-def test_closing_the_script_raises_what_is_left(tmp_path: Path) -> None:
-    vehicle = ParameterVehicle()
-    plan = plan_for(vehicle)
-    dialect = introduced(vehicle)
-    saver = undo_saver(SOURCE, tmp_path)
-
-    def script(context):
-        context.system, context.component = SYSTEM, COMPONENT
-        return (yield from dialect.write(context, plan, saver))
-
-    machine = Machine(script)
-    machine.step(Tick(0.0))
-    for name in [c.name for c in plan.changes]:
-        machine.step(Incoming(0.1, SYSTEM, COMPONENT, vehicle.value(name)))
-    machine.step(Stop(0.2, "Stopped."))
-    now_s = 0.2
-    while not machine.done and now_s < 30.0:
-        now_s += 0.5
-        # alive, but it answers no request
-        machine.step(Incoming(now_s, SYSTEM, COMPONENT, vehicle.heartbeat()))
-    assert isinstance(machine.error, WriteFailed)
-    assert machine.error.restore_command
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -38,7 +38,10 @@ from mavcompass.messages import (
     ScaledImu,
     ScaledImu2,
     ServoOutputRaw,
+    Simstate,
     SysStatus,
+    SystemTime,
+    VfrHud,
     message_id,
 )
 from mavcompass.track import InForce, MagSeries, Series, Track
@@ -340,6 +343,32 @@ def test_a_track_is_played_as_its_vehicle_would_speak(play_track: Callable[[Trac
     assert kind_of(heard, GpsRawInt)[0].yaw == 0
     assert kind_of(heard, Attitude)[-1].yaw == pytest.approx(2.0, abs=0.05)
     assert [i.time_s for i in heard] == sorted(i.time_s for i in heard)
+
+
+def test_place_velocity_course_and_time_are_told_in_the_units_of_their_messages(
+    play_track: Callable[[Track], list[Incoming]],
+) -> None:
+    time_s = 30.0 + np.arange(11) / 5.0
+    heard = play_track(
+        track_of(
+            "ardupilot",
+            place=Series.of(time_s, np.linspace((47.0, -8.5, 400.0), (47.001, -8.501, 402.0), 11)),
+            gps_velocity_mps=Series.of(time_s, np.tile([3.0, -4.0, 0.5], (11, 1))),
+            gps_yaw_rad=Series.of(time_s, np.linspace(-0.5, 0.5, 11) % (2.0 * np.pi)),
+            throttle=Series.of(time_s, np.full(11, 0.4)),
+            truth_q=Series.of(time_s, np.tile([np.cos(0.3), 0.0, 0.0, np.sin(0.3)], (11, 1))),
+            utc_offset_s=1.7e9,
+        )
+    )
+    here = GlobalPositionInt(32_000, 470_010_000, -85_010_000, 402_000, 2_000, 300, -400, 50)
+    assert kind_of(heard, GlobalPositionInt)[-1] == here
+    gps = kind_of(heard, GpsRawInt)
+    last = (gps[-1].time_usec, gps[-1].fix_type, gps[-1].lat, gps[-1].lon, gps[-1].alt)
+    assert last == (32_000_000, 3, 470_010_000, -85_010_000, 402_000)
+    assert {(m.vel, m.cog) for m in gps} == {(500, 30_687)}
+    assert [m.yaw for m in gps][4:7] == [35_427, 36_000, 573]  # 0 would be none
+    assert kind_of(heard, VfrHud)[0].throttle == 40 and kind_of(heard, Simstate)[0].yaw == pytest.approx(0.6)
+    assert kind_of(heard, SystemTime)[1] == SystemTime(1_700_000_031_000_000, 31_000)
 
 
 @pytest.mark.parametrize(("recorded_hz", "played_hz"), [(50.0, 25.0), (25.0, 25.0), (10.0, 10.0), (4.0, 4.0)])
