@@ -83,8 +83,7 @@ def _in_a_copy(arguments: Sequence[str]) -> int:
         environment = {**os.environ, "PYTHONPATH": str(copy), "PYTHONPYCACHEPREFIX": f"{folder}/bytecode"}
         environment.pop("PYTHONDONTWRITEBYTECODE", None)
         environment.setdefault("MAVCOMPASS_SHARED_DATA", str(PROJECT.parent / "shared" / "data"))
-        command = [sys.executable, str(copy / "scripts" / "campaigns" / "mutants.py")]
-        command += ["--copied", str(PROJECT), *arguments]
+        command = [sys.executable, "scripts/campaigns/mutants.py", "--copied", str(PROJECT), *arguments]
         return subprocess.run(command, cwd=copy, env=environment).returncode
 
 
@@ -137,9 +136,10 @@ class Covering:
         return [name for names in chosen.values() for name in names]
 
     def _contexts(self, site: Site) -> set[str]:
-        """Return what ran the line of a place; of what is set as a file is loaded, the lines that name it."""
-        sources, found = self._project / SOURCES, set[str]()
-        named = re.compile(rf"\b({'|'.join(site.names or ())})\b")
+        """Return what ran the line of a place; of what is set as a file is loaded, what names it."""
+        sources, named = self._project / SOURCES, re.compile(rf"\b({'|'.join(site.names or ())})\b")
+        tests = {name.partition("::")[0] for name in self._seconds if site.names}
+        found = {f"file {test}" for test in tests if named.search(Path(test).read_text())}
         for file in sources.rglob(site.path if site.names is None else "*.py"):
             texts = file.read_text().splitlines()
             lines = [number for number, text in enumerate(texts, 1) if named.search(text)]
@@ -150,7 +150,7 @@ class Covering:
 
     def _line_then(self, site: Site, then: Sequence[str]) -> int:
         """Return the number that a line had when it was measured: that of the nearest with its text."""
-        text = (self._project / site.path).read_text().splitlines()[site.line - 1]
+        text = Path(site.path).read_text().splitlines()[site.line - 1]
         alike = (number for number, other in enumerate(then, 1) if other == text)
         return min(alike, key=lambda number: abs(number - site.line), default=site.line)
 

@@ -20,7 +20,6 @@ from mavcompass.workers import child
 
 SECONDS = ".coverage-seconds"
 SOURCES = ".coverage-sources"
-_END_S = 10.0
 _seconds: Counter[str] = Counter()
 
 
@@ -35,7 +34,7 @@ def _end_and_tell(process: subprocess.Popen[bytes]) -> None:
     """End a worker process as `child` does, but let it write down what it ran."""
     process.terminate()
     try:
-        process.wait(_END_S)
+        process.wait(10.0)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
