@@ -17,11 +17,12 @@ MAY = {"set_mode": False, "arm": False, "takeoff_m": 0.0}
 CALIBRATE = {
     "instances": (1,), "motion": "auto", "turn_by": "auto", "permissions": Permissions(), "positions": 4,
     "step_rad": 90.0 * DEG, "enough_deg": 0.3, "most_positions": 8, "writing": "ask", "system": None,
-    "rate_hz": 25.0, "year": 2026.0, "reboot": False, "orientation": False,
-    "rewrite": False,
+    "rate_hz": 25.0, "year": 2026.0, "reboot": False, "orientation": False, "rewrite": False,
+    "method": "four-positions", "true_heading": None, "max_heading_error_deg": 2.0, "continuous": False,
 }  # fmt: skip
 ASKED = {
-    "compasses": (), "motion": "auto", "writing": "ask", "max_error_deg": 2.0, "positions": 4,
+    "compasses": (), "motion": "auto", "writing": "ask", "max_error_deg": 2.0, "positions": 4, "dwell_s": 2.0,
+    "method": "four-positions", "true_heading_deg": None, "true_heading_sigma_deg": pytest.approx(1.0),
     "set_mode": False, "arm": False, "takeoff_m": None, "land": False, "orientation": False, "rewrite": False,
 }  # fmt: skip
 

@@ -23,7 +23,7 @@ from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.driver import run
 from mavcompass.vehicle.link import LinkStatistics
 from mavcompass.vehicle.links.simulated import SimulatedLink
-from mavcompass.vehicle.transport import UdpOut, open_transport
+from mavcompass.vehicle.transport import UdpIn, UdpOut, open_transport
 
 SHARED = "Two autopilots share system id 1"
 
@@ -39,8 +39,6 @@ def calling(port: int, *vehicles: SimulatedAutopilot) -> Iterator[str]:
 
 @pytest.fixture
 def free_port() -> int:
-    from mavcompass.vehicle.transport import UdpIn
-
     transport = open_transport(UdpIn("127.0.0.1", 0))
     port = int(transport.name.rpartition(":")[2])
     transport.close()

@@ -16,6 +16,7 @@ from mavcompass.errors import MavCompassError, UsageError
 from mavcompass.heading.deviation import seen_by_old
 from mavcompass.installation.private_files import private_folder, write_private
 from mavcompass.messages import Incoming
+from mavcompass.printable import counted
 from mavcompass.procedure.check import CheckReport
 from mavcompass.procedure.dialect import WriteOutcome
 from mavcompass.procedure.report import CalibrationReport
@@ -157,7 +158,7 @@ class Results:
             "undo_file": None if outcome.undo_file is None else str(outcome.undo_file),
             "values": dict(outcome.values),
         }
-        summary = f"{len(outcome.values)} parameters put back."
+        summary = f"{counted(len(outcome.values), 'parameter')} put back."
         number = self._record(
             task, view, outcome.verified, summary, document, undo_file=document["undo_file"]
         )

@@ -238,7 +238,8 @@ def test_a_fifth_position_lies_half_a_step_between() -> None:
 @pytest.mark.parametrize(
     ("visited_deg", "now_deg", "turn_deg"),
     [([0.0], 0.0, 90.0), ([0.0, 100.0], 100.0, 80.0), ([0.0, 80.0], 80.0, 100.0),
-     ([0.0, 200.0], 200.0, 45.0), ([0.0, 5.0], 5.0, 135.0), ([10.0], 20.0, 80.0)],
+     ([0.0, 200.0], 200.0, 45.0), ([0.0, 5.0], 5.0, 135.0), ([10.0], 20.0, 80.0),
+     ([0.0, 90.0, 180.0, 270.0], 270.0, 45.0), ([0.0, 90.0, 180.0, 270.0, 315.0], 315.0, 90.0)],
 )  # fmt: skip
 def test_what_went_too_far_is_made_up(visited_deg: list[float], now_deg: float, turn_deg: float) -> None:
     windows = [Window(0.0, 1.0, d * DEG) for d in visited_deg]

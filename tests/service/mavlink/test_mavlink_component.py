@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -31,15 +32,9 @@ CORRECTION = FieldCorrection((10.5, -20.25, 30.0), (1.1, 0.9, 1.0), (0.01, 0.02,
 
 
 def result(instance: int = 1, accepted: bool = True) -> CalibrationResult:
-    return CalibrationResult(
-        instance=instance,
-        method="four-positions",
-        accepted=accepted,
-        reasons=() if accepted else ("The field is far too strong here.",),
-        correction=CORRECTION,
-        residual_rms_mgauss=1.5,
-        heading_sigma_deg=0.7,
-    )
+    reasons = () if accepted else ("The field is far too strong here.",)
+    found = CalibrationResult(instance, "four-positions", accepted, reasons, CORRECTION)
+    return replace(found, residual_rms_mgauss=1.5, heading_sigma_deg=0.7)
 
 
 def task(state: str = "running", **changes: Any) -> Task:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 
@@ -163,19 +164,9 @@ def learnt(service: RunningService) -> CalibrationResult:
     vehicle = service.link.autopilot
     assert isinstance(vehicle, SimulatedAutopilot)
     setup = vehicle.board.compass_setups[0]
-    return CalibrationResult(
-        instance=1,
-        method="running",
-        accepted=True,
-        reasons=(),
-        correction=setup.model.iron,
-        in_force=setup.in_force,
-        heading_sigma_deg=0.2,
-        heading_change_deg=20.0,
-        horizontal_mgauss=240.0,
-        vertical_mgauss=-520.0,
-        not_seen_deg=(90,),
-    )
+    result = CalibrationResult(1, "running", True, (), setup.model.iron, in_force=setup.in_force)
+    field = {"horizontal_mgauss": 240.0, "vertical_mgauss": -520.0}
+    return replace(result, heading_sigma_deg=0.2, heading_change_deg=20.0, not_seen_deg=(90,), **field)
 
 
 @pytest.fixture

@@ -15,9 +15,12 @@ from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import IDENTITY
 from mavcompass.errors import MavCompassError, UsageError, WriteFailed
 from mavcompass.messages import Heartbeat, Incoming
+from mavcompass.procedure.dialect import WriteOutcome
 from mavcompass.procedure.report import AutopilotHeading
 from mavcompass.procedure.script import Show
+from mavcompass.procedure.vehicle_state import VehicleIdentity
 from mavcompass.service.config import ServiceConfig, StorageConfig
+from mavcompass.service.view import VehicleView
 from mavcompass.service.work.history import Entry, History
 from mavcompass.service.work.results import (
     Recorder,
@@ -138,6 +141,29 @@ def test_a_recording_is_frames_each_behind_its_time(tmp_path: Path) -> None:
     data, size = path.read_bytes(), path.stat().st_size // 3
     stamps = [int.from_bytes(data[k * size :][:8], "big") for k in range(3)]
     assert np.diff(stamps) == pytest.approx([1e6, 2e6], abs=1.0) and data[8::size] == b"\xfd" * 3
+
+
+@pytest.mark.parametrize(
+    ("outcome", "summary"),
+    [(None, "0 parameters put back."),  # the vehicle held the values already and was sent nothing
+     (WriteOutcome(True, Path("/undo/2.json"), {"A": 1.0, "B": 2.0}), "2 parameters put back."),
+     (WriteOutcome(False, Path("/undo/2.json"), {"A": 1.0}), "1 parameter put back.")],
+)  # fmt: skip
+def test_an_undo_takes_its_entry_back_and_can_be_undone_itself(
+    outcome: WriteOutcome | None, summary: str, results: Results, history: History
+) -> None:
+    view = VehicleView(VehicleIdentity(1, 1, "ardupilot", "rover"), "key", 2026.0)
+    before = history.add("calibration", "then", "key", True, "", {}, undo_file="/undo/1.json")
+    task = Task(1, UndoRequest("1.json", before), "http", "now")
+    results.undone(task, view, SimpleNamespace(outcome=outcome))  # type: ignore[arg-type]
+    entry, taken_back = history.entries()
+    told = outcome or WriteOutcome(True, None, {})
+    assert (taken_back.id, taken_back.undone_by, task.entry) == (before, entry.id, entry.id)
+    assert (task.ok, entry.ok, entry.vehicle, entry.summary) == (told.verified, told.verified, "key", summary)
+    assert entry.undo_file == (outcome and str(outcome.undo_file)) and task.document == entry.document == {
+        "schema": "mavcompass.undone/1", "verified": told.verified, "put_back": "1.json",
+        "undo_file": entry.undo_file, "values": told.values,
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ["other.json", "../history.db", "/etc/passwd", ".."])

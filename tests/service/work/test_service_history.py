@@ -23,16 +23,9 @@ def add(
     vehicle: str = "boat",
     undo_file: str = "/nowhere/undo.json",
 ) -> int:
-    return history.add(
-        "calibration",
-        f"2026-05-{day:02d}T10:00:00+00:00",
-        vehicle,
-        ok,
-        "fine",
-        {"compasses": [{"instance": 1}]},
-        [(1, device)],
-        undo_file=undo_file,
-    )
+    made_at, document = f"2026-05-{day:02d}T10:00:00+00:00", {"compasses": [{"instance": 1}]}
+    compasses = [(1, device)]
+    return history.add("calibration", made_at, vehicle, ok, "fine", document, compasses, undo_file=undo_file)
 
 
 def test_what_was_added_is_there_after_a_restart(tmp_path: Path) -> None:

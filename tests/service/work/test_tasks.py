@@ -17,14 +17,8 @@ def task() -> Task:
 def test_the_fraction_never_falls_and_a_write_is_not_the_whole() -> None:
     one = task()
     shown = []
-    for show in (
-        Show("a", "x", 0.3),
-        Show("a", "y", 0.2),
-        Show("a", "z"),
-        Show("write", "w", 1.0),
-        Show("b", "e", 1.0),
-    ):
-        one.show(show)
+    for step, fraction in (("a", 0.3), ("a", 0.2), ("a", None), ("write", 1.0), ("b", 1.0)):
+        one.show(Show(step, "x", fraction))
         shown.append(one.fraction)
     assert shown == [0.3, 0.3, 0.3, 0.9, 1.0]
     assert [line["fraction"] for line in one.lines] == shown

@@ -46,6 +46,8 @@ def test_a_message_is_heard_with_its_sender(kind: Kind) -> None:
         assert (incoming.system, incoming.component) == (SYSTEM, 7)
         assert incoming.message == RawImu(xmag=232, ymag=-52)
         assert link.statistics.received >= 1
+        # Where other programs may reach the vehicle, too, they are kept off what this one works on.
+        assert link.shared is (kind not in (KINDS["simulated"], KINDS["replay"]))
 
 
 def test_the_vehicle_hears_us_as_its_onboard_computer(kind: Kind) -> None:

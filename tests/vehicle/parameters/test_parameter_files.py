@@ -66,6 +66,8 @@ def test_qgroundcontrols_form() -> None:
         ("COMPASS_OFS_X,1\nCOMPASS_OFS_X,2\n", r"line 2: COMPASS_OFS_X is 2 here and 1 in line 1"),
         ("A_NAME_THAT_IS_TOO_LONG,1\n", r"line 1: 'A_NAME_THAT_IS_TOO_LONG' is not a parameter's name"),
         ("1,2\n", r"line 1: '1' is not a parameter's name"),
+        ("V 1 A 2 9\n", r"line 1: 'V 1 A 2 9' is not a parameter"),
+        ("1 C A 2 9\n", r"line 1: '1 C A 2 9' is not a parameter"),
         ("# only words\n", r"holds no parameters"),
         ("", r"holds no parameters"),
     ],
@@ -115,10 +117,5 @@ def test_what_is_no_undo_file_is_told(tmp_path: Path, text: str) -> None:
 
 
 def test_values_are_short_and_exact() -> None:
-    assert [format_value(v) for v in (5.0, -80.5, 0.1, 131874.0, 1e-7)] == [
-        "5",
-        "-80.5",
-        "0.1",
-        "131874",
-        "0.0000001",
-    ]
+    shortest = {5.0: "5", -80.5: "-80.5", 0.1: "0.1", 131874.0: "131874", 1e-7: "0.0000001"}
+    assert {value: format_value(value) for value in shortest} == shortest
