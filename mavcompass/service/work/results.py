@@ -151,17 +151,16 @@ class Results:
         """Record that an undo file was put back; a vehicle that held its values already was sent nothing."""
         assert isinstance(task.request, UndoRequest)
         outcome = report.outcome or WriteOutcome(verified=True, undo_file=None, values={})
+        undo_file = None if outcome.undo_file is None else str(outcome.undo_file)
         document: dict[str, Any] = {
             "schema": "mavcompass.undone/1",
             "verified": outcome.verified,
             "put_back": task.request.undo_file,
-            "undo_file": None if outcome.undo_file is None else str(outcome.undo_file),
+            "undo_file": undo_file,
             "values": dict(outcome.values),
         }
         summary = f"{counted(len(outcome.values), 'parameter')} put back."
-        number = self._record(
-            task, view, outcome.verified, summary, document, undo_file=document["undo_file"]
-        )
+        number = self._record(task, view, outcome.verified, summary, document, undo_file=undo_file)
         if number is not None:
             self._history.undone(task.request.entry, number)
         task.finish(outcome.verified, document, number)
