@@ -72,7 +72,7 @@ class Station:
         self.headings = 0
         self._open_link = open_link
         self._due = Schedule()
-        self._roll = RollCall(config.vehicle.system or None)
+        self._roll = RollCall()
         self._ground_stations = GroundStationReporter(config, self.desk, self._due)
         self._jobs = Jobs(config, history, self.learning, self._hear_in_procedure)
         self._rates = RateKeeper({})
