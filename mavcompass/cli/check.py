@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from dataclasses import replace
 from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -24,7 +25,6 @@ from mavcompass.installation.invocation import program
 from mavcompass.vehicle.transport import Recording, parse_address
 
 if TYPE_CHECKING:
-    from mavcompass.heading.true_north import TrueNorth
     from mavcompass.procedure.check import CheckReport, CheckSettings
     from mavcompass.vehicle.link import Link
 
@@ -77,8 +77,9 @@ def command(
     address = parse_address(source)
     if turn == "auto" and isinstance(address, Recording):
         turn = "none"  # it has turned when it did, and obeys nobody
-    north = _recorded_north(source) if isinstance(address, Recording) else {}
-    settings = CheckSettings(turn=turn, system=system, year=this_year(), north=north)  # type: ignore[arg-type]
+    settings = CheckSettings(turn=turn, system=system, year=this_year())  # type: ignore[arg-type]
+    if isinstance(address, Recording):
+        settings = _as_recorded(source, settings)
     with open_source(address, effects) as link:
         with showing(quiet=not sys.stderr.isatty()) as show:
             report = _check(link, source, settings, show)
@@ -90,18 +91,22 @@ def command(
     return 0 if passed else NOT_FIT
 
 
-def _recorded_north(source: str) -> dict[int, TrueNorth]:
-    """Return what all of a recording shows of each compass's true heading."""
+def _as_recorded(source: str, settings: CheckSettings) -> CheckSettings:
+    """Add what all of a recording shows of each compass: true headings, and how far off its own are."""
     from mavcompass.api import read_track
-    from mavcompass.errors import BadRecording
+    from mavcompass.calibration import calibrate_compasses
+    from mavcompass.errors import BadRecording, PoorCalibration
     from mavcompass.heading.evidence import heading_of_track
 
     try:
         track = read_track(source)
-        found = {i: heading_of_track(track, None, i).north for i in track.compasses}
+        headings = {i: heading_of_track(track, None, i).north for i in track.compasses}
+        north = {i: seen for i, seen in headings.items() if seen is not None}
+        return replace(settings, north=north, found=calibrate_compasses(track))
+    except PoorCalibration:
+        return replace(settings, north=north)
     except BadRecording:
-        return {}  # what can be checked of it is
-    return {i: north for i, north in found.items() if north is not None}
+        return settings  # what can be checked of it is
 
 
 def _check(link: Link, source: str, settings: CheckSettings, show: Any) -> CheckReport:

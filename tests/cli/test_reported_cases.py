@@ -61,6 +61,21 @@ def test_every_recording_can_be_checked(shared_data: Path, run: Run, suffix: str
     assert code == 5 and document["verdict"] == "fail" and "Not fit to drive: calibrate compass 1" in said
 
 
+@pytest.mark.parametrize(
+    ("recording", "says"),
+    [
+        ("px4-1.16/copter_four_positions.ulg", "Compass 1: its heading was 27.9 deg off in this recording"),
+        ("gap-firmware/r_orient/flight.tlog", "COMPASS_ORIENT 2 is right"),
+    ],
+)
+def test_a_check_goes_by_all_that_was_recorded(
+    shared_data: Path, run: Run, recording: str, says: str
+) -> None:
+    """At rest both are near enough: what they were when it turned is in the same file."""
+    code, said, document = run("check", str(shared_data / recording))
+    assert code == 5 and document["verdict"] == "fail" and says in said
+
+
 def test_parameters_without_a_magnetometer(case: Callable[[str], str], run: Run, tmp_path: Path) -> None:
     file = case("px4_params_only.tlog")
     code, said, document = run("params", "show", file)

@@ -11,6 +11,7 @@ import numpy as np
 
 from mavcompass import messages as mav
 from mavcompass.calibration.observation import unrest
+from mavcompass.calibration.result import CalibrationResult
 from mavcompass.compass_parameters import px4_name
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
@@ -171,7 +172,30 @@ def judge_yaw(instance: int, off_deg: float, source: SteeringSource) -> CheckIte
     text = f"The autopilot's own yaw is {abs(off_deg):.1f} deg from compass {instance}, {steers}."
     own = "Let it settle and check again; if it stays, restart the autopilot."
     other = "Hold both against a landmark: either the compass is wrong, or what steers."
-    return _graded("yaw", off_deg, 5.0, 15.0, text, own if source == instance else other, instance)
+    return _graded(
+        "yaw",
+        off_deg,
+        AGREEMENT_DEG,
+        3.0 * AGREEMENT_DEG,
+        text,
+        own if source == instance else other,
+        instance,
+    )
+
+
+def judge_calibration(found: CalibrationResult) -> CheckItem | None:
+    """Judge the values in force by a calibration of all that was recorded, at its three sigmas."""
+    instance = found.instance
+    if found.mounting.turned is not None:
+        return CheckItem("mounting", "fail", found.reasons[0], "Calibrate with --orientation.", instance)
+    if not found.accepted:
+        return None
+    text = (
+        f"Compass {instance}: its heading was {found.heading_change_deg:.1f} deg off in this recording"
+        f" (within {found.heading_sigma_deg:.2f})."
+    )
+    most_deg = 3.0 * AGREEMENT_DEG
+    return _graded("calibration", found.sure_gain_deg, AGREEMENT_DEG, most_deg, text, "Calibrate.", instance)
 
 
 def judge_north(instance: int, north: TrueNorth) -> list[CheckItem]:

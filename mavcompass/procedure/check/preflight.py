@@ -15,6 +15,7 @@ import numpy as np
 
 from mavcompass import messages as mav
 from mavcompass.calibration.observation import assemble, dwell_between
+from mavcompass.calibration.result import CalibrationResult
 from mavcompass.compass_parameters import is_calibrated, orientation_name
 from mavcompass.correction import FieldCorrection
 from mavcompass.credible import SILENT, is_silent
@@ -53,6 +54,7 @@ class CheckSettings:
         system: MAVLink system id, where several vehicles share the link.
         year: decimal year to use where the vehicle does not know the date.
         north: what drives before, or all of a recording, told of each compass's true heading.
+        found: what a calibration of all of a recording finds of each compass.
     """
 
     turn: Turn = "none"
@@ -62,6 +64,7 @@ class CheckSettings:
     # A vehicle that is on its way is waited for: a turn on the spot takes so long.
     dwell: DwellSettings = field(default_factory=lambda: DwellSettings(patience_s=10.0))
     north: Mapping[int, TrueNorth] = field(default_factory=dict)
+    found: Mapping[int, CalibrationResult] = field(default_factory=dict)
 
 
 def check(
@@ -171,6 +174,8 @@ class _Checker:
         for instance in self.desk.instances:
             if (north := self.settings.north.get(instance)) is not None:
                 self.items += items.judge_north(instance, north)
+            if (found := self.settings.found.get(instance)) is not None:
+                self._add(items.judge_calibration(found))
             reading = self._reading(track, instance, window)
             if reading is None:
                 self._say_silent(track, instance, window)
