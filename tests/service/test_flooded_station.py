@@ -72,7 +72,8 @@ def test_a_flood_of_five_seconds_is_told(behind_s: float, told: bool, station: S
 def test_what_is_known_is_told_number_by_number_to_pages_and_to_prometheus(station: Station) -> None:
     """A rover leans by ten degrees and heads 30 degrees from magnetic north; it spoke half a second ago."""
     link = Flooded("udpin:127.0.0.1:14550")
-    assert moment_json(station)["connected"] is False and state_json(station)["link"]["open"] is False
+    unknown = {"connected": False, "headings": [], "turned_deg": 0.0, "rate_dps": 0.0, "still": False}
+    assert moment_json(station) == unknown and state_json(station)["link"]["open"] is False
     view = station.view = VehicleView(VehicleIdentity(1, 1, "ardupilot", "rover"), "key", 2026.0)
     station.link, view.reconnects, view.reboots = link, 6, 7
     link.statistics.received, link.statistics.malformed, link.statistics.dropped = 2, 4, 5

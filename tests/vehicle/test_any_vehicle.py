@@ -22,7 +22,6 @@ from mavcompass.messages import (
     Message,
     MessageInterval,
     ParamRequestRead,
-    ParamSet,
     ParamValue,
     RawImu,
     ScaledImu,
@@ -72,10 +71,6 @@ def field_message(vehicle: VehicleIdentity) -> type[Message]:
     return ScaledImu if vehicle.autopilot == "px4" else RawImu
 
 
-def offset_name(vehicle: VehicleIdentity) -> str:
-    return "CAL_MAG0_XOFF" if vehicle.autopilot == "px4" else "COMPASS_OFS_X"
-
-
 def test_it_is_found_among_all_that_speak_on_the_link(link: Link) -> None:
     def work(context: Context, vehicle: VehicleIdentity) -> Script[VehicleIdentity]:
         yield from pause(context, 0.0)
@@ -84,32 +79,6 @@ def test_it_is_found_among_all_that_speak_on_the_link(link: Link) -> None:
     vehicle = on(link, work)
     assert vehicle.autopilot in ("ardupilot", "px4") and vehicle.component == 1
     assert link.identity.system == vehicle.system
-
-
-def test_a_parameter_can_be_read_written_and_read_back(link: Link) -> None:
-    def work(context: Context, vehicle: VehicleIdentity) -> Script[tuple[float, float, float]]:
-        name = offset_name(vehicle)
-        address = (context.system, context.component)
-
-        def read() -> Script[ParamValue]:
-            ask = ParamRequestRead(*address, name)
-            return (yield from request(context, ask, ParamValue, lambda v: v.param_id == name))
-
-        def write(value: float) -> Script[None]:
-            ask = ParamSet(*address, name, value, 9)
-            yield from request(
-                context, ask, ParamValue, lambda v: v.param_id == name and v.param_value == np.float32(value)
-            )
-
-        before = (yield from read()).param_value
-        other = float(np.float32(before + 0.25))
-        yield from write(other)
-        between = (yield from read()).param_value
-        yield from write(before)
-        return before, between - other, (yield from read()).param_value
-
-    before, miss, after = on(link, work)
-    assert miss == 0.0 and after == before
 
 
 def test_a_message_comes_at_the_rate_that_was_asked_for(link: Link) -> None:

@@ -137,6 +137,8 @@ def test_a_report_carries_the_correction_in_the_order_of_the_parameters() -> Non
     assert (report.offdiag_x, report.offdiag_y, report.offdiag_z) == CORRECTION.off_diagonals
     assert report.scale_factor == CORRECTION.scale
     assert report.fitness == 1.5
+    (unknown,) = component.reports(task(results=(replace(result(), residual_rms_mgauss=math.nan),)), (1,))
+    assert isinstance(unknown, mav.MagCalReport) and unknown.fitness == 0.0
     form, payload = encode(report)
     assert decode(form.id, payload) is not None
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from mavcompass import messages as mav
 from mavcompass.errors import Refused
 from mavcompass.procedure.script import Answer, Ask, Context, Script
 from mavcompass.simulation.heading_error import heading_error_rms_deg
@@ -182,11 +183,15 @@ def test_an_answer_reaches_the_procedure_once(
     ]
 
 
-def test_unloading_stops_what_is_under_way_and_takes_the_command_away(ground: Ground) -> None:
+def test_unloading_stops_what_is_under_way_and_takes_the_command_away(
+    ground: Ground, monkeypatch: pytest.MonkeyPatch
+) -> None:
     ground.type("mavcompass calibrate")
-    ground.pass_time(1.0)
+    ground.pass_time(60.0, until="Turning")
+    sent = list[mav.Message]()
+    monkeypatch.setattr(ground.link, "send", sent.append)
     ground.module.unload()
-    assert ground.state.command_map == {}
+    assert sent and ground.state.command_map == {}  # what turns is told to stand
     assert (ground.settings.streamrate, ground.settings.streamrate2) == STREAM_RATES
     ground.module.unload()  # once more harms nothing
     ground.module._step(mavproxy.Tick(ground.link.now()))

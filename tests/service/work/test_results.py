@@ -83,6 +83,7 @@ def report(
     ("told", "words"),
     [
         (report(found()), "compass 1 within 0.4 deg; written"),
+        (report(found(), off_deg=0.5), "compass 1 within 0.4 deg; written"),  # its own heading is right
         (report(found(sigma=math.nan)), "compass 1 accepted; written"),
         (report(found(accepted=False), written=False), "compass 1 not accepted; not written"),
         (report(found(), written=False, undone=True), "compass 1 within 0.4 deg; put back"),

@@ -12,18 +12,12 @@ from mavcompass.errors import Refused
 from mavcompass.messages import CommandAck, CommandLong
 from mavcompass.procedure.script import Context, Machine, Script, Stop
 from mavcompass.procedure.vehicle_state import find_vehicle
-from mavcompass.vehicle.dialects.taking_over import EKF3_HOW, take_ekf3_yaw
+from mavcompass.vehicle.dialects.taking_over import EKF3_HOW, idle_set, prompt_ekf3, take_ekf3_yaw
 from mavcompass.vehicle.driver import run
 
 SWITCH = MavCmd.SET_EKF_SOURCE_SET
-AS_SHIPPED = {
-    "AHRS_EKF_TYPE": 3.0,
-    "EK3_SRC1_YAW": 1.0,
-    "EK3_SRC2_POSXY": 0.0,
-    "EK3_SRC2_YAW": 0.0,
-    "EK3_SRC3_POSXY": 0.0,
-    "EK3_SRC3_YAW": 0.0,
-}
+AS_SHIPPED = {"AHRS_EKF_TYPE": 3.0, "EK3_SRC1_YAW": 1.0}
+AS_SHIPPED |= {f"EK3_SRC{n}_{what}": 0.0 for n in (2, 3) for what in ("POSXY", "YAW")}
 THERE_AND_BACK = (
     Expect(CommandLong(command=SWITCH, param1=2.0)),
     Reply(CommandAck(SWITCH, MavResult.ACCEPTED)),
@@ -38,6 +32,25 @@ def take(parameters: Mapping[str, float], flying: bool = False) -> Machine[str]:
         return (yield from take_ekf3_yaw(context, parameters, flying))
 
     return Machine(script)
+
+
+HEADING, FIELD, LEFT = "EK3_YAW_M_NSE", "EK3_MAG_EF_LIM", None
+
+
+@pytest.mark.parametrize(
+    ("held", "on_the_ground", "in_flight", "idle"),
+    [({}, HEADING, FIELD, 2), ({"EK3_MAG_CAL": 2.0}, HEADING, HEADING, 2),
+     ({"EK3_SRC1_YAW": 3.0}, HEADING, FIELD, 2), ({"EK3_SRC1_YAW": 2.0}, LEFT, LEFT, LEFT),
+     ({"AHRS_EKF_TYPE": 2.0}, LEFT, LEFT, LEFT), ({"EK3_SRC2_YAW": 1.0}, HEADING, FIELD, 3),
+     ({"EK3_SRC2_YAW": 1.0, "EK3_SRC3_YAW": 1.0}, HEADING, FIELD, LEFT),
+     ({"EK3_SRC3_POSXY": 3.0}, HEADING, FIELD, LEFT)],
+)  # fmt: skip
+def test_an_estimator_is_told_to_believe_the_compass_that_it_follows_and_has_a_set_to_rest_on(
+    held: dict[str, float], on_the_ground: str | None, in_flight: str | None, idle: int | None
+) -> None:
+    parameters = AS_SHIPPED | held
+    told = [next(iter(prompt_ekf3(parameters, flying)), None) for flying in (False, True)]
+    assert (*told, idle_set(parameters)) == (on_the_ground, in_flight, idle)
 
 
 def test_the_second_set_for_a_moment_then_the_first_again() -> None:

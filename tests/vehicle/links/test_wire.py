@@ -309,9 +309,10 @@ def test_a_flood_of_senders_is_forgotten_but_for_the_latest(
     assert len(link._channels) <= 5 and len(link._homes[1]) <= 5
 
 
+@pytest.mark.parametrize("given", [None, "one of nine"])
 @pytest.mark.parametrize("written", ["seven of nine\n", Signing.from_passphrase("seven of nine").key.hex()])
-def test_a_key_in_a_file_signs_every_frame(
-    written: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_key_in_a_file_signs_every_frame_where_none_is_given(
+    written: str, given: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     key_file = tmp_path / "key"
     key_file.write_text(written)
@@ -319,10 +320,11 @@ def test_a_key_in_a_file_signs_every_frame(
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as far_end:
         far_end.bind(("127.0.0.1", 0))
         far_end.settimeout(5.0)
-        with open_link(f"udpout:127.0.0.1:{far_end.getsockname()[1]}") as link:
+        signing = None if given is None else Signing.from_passphrase(given)
+        with open_link(f"udpout:127.0.0.1:{far_end.getsockname()[1]}", signing=signing) as link:
             link.send(Heartbeat())
             frame = far_end.recv(300)
-    assert frame[0] == 0xFD and Signing.from_passphrase("seven of nine").accepts(frame, 1, 191)
+    assert frame[0] == 0xFD and Signing.from_passphrase(given or "seven of nine").accepts(frame, 1, 191)
 
 
 @pytest.mark.parametrize("content", [None, b"", b"two\nlines\n", b"\xff\xfe"])

@@ -452,6 +452,12 @@ def test_the_device_id_is_left_alone_where_the_firmware_is_content(tmp_path: Pat
     assert {c.command for c in vehicle.commands} == {MavCmd.RUN_PREARM_CHECKS}
 
 
+def test_what_is_no_offset_has_no_device_id_stored(tmp_path: Path) -> None:
+    vehicle = never_calibrated()
+    plan = ParameterPlan((Change("COMPASS_DIA_X", 1.0, 1.1),))
+    assert write(Radio(vehicle), plan, tmp_path).remarks == () and not vehicle.commands
+
+
 def test_a_build_without_sensor_offsets_gets_the_other_command_and_the_person_is_told(tmp_path: Path) -> None:
     vehicle = never_calibrated()
     vehicle.known_commands = {MavCmd.PREFLIGHT_CALIBRATION, MavCmd.RUN_PREARM_CHECKS}
@@ -460,9 +466,12 @@ def test_a_build_without_sensor_offsets_gets_the_other_command_and_the_person_is
     assert re.search("All detected compasses", " ".join(outcome.remarks))
 
 
-def test_a_build_with_neither_command_is_told_about(tmp_path: Path) -> None:
+@pytest.mark.parametrize("refuses", [True, False])
+def test_a_build_with_neither_command_is_told_about(refuses: bool, tmp_path: Path) -> None:
     vehicle = never_calibrated()
-    vehicle.known_commands = {MavCmd.RUN_PREARM_CHECKS}
+    vehicle.known_commands, answers = {MavCmd.RUN_PREARM_CHECKS}, vehicle.command
+    if not refuses:  # it says nothing
+        vehicle.command = lambda m: answers(m) if m.command in vehicle.known_commands else []  # type: ignore[method-assign]
     outcome = write(Radio(vehicle), plan_for(vehicle), tmp_path)
     assert outcome.verified and len(outcome.remarks) == 2
     assert "would not store" in outcome.remarks[0] and "still says" in outcome.remarks[1]

@@ -137,10 +137,8 @@ def test_unknown_parameters_get_silence(tlog: Path) -> None:
     with open_link(str(tlog)) as link:
         link.send(ParamRequestRead(1, 1, "NO_SUCH_NAME"))
         link.send(ParamSet(1, 1, "NO_SUCH_NAME", 1.0))
-        assert {i.message.param_id for i in link if isinstance(i.message, ParamValue)} == {
-            "COMPASS_OFS_X",
-            "COMPASS_OFS_Y",
-        }
+        told = {i.message.param_id for i in link if isinstance(i.message, ParamValue)}
+        assert told == {"COMPASS_OFS_X", "COMPASS_OFS_Y"}
 
 
 def test_a_written_parameter_stays_written_for_the_session(tlog: Path) -> None:
@@ -226,11 +224,8 @@ def test_a_useless_file_is_told(tmp_path: Path, content: bytes | None, error: ty
 
 def test_several_vehicles_are_told_apart(tmp_path: Path) -> None:
     said: list[Line] = [(0.0, 3, 1, VEHICLE), (0.0, 4, 1, VEHICLE)]
-    said += [
-        (0.1, 3, 1, ParamValue("A", 3.0)),
-        (0.1, 4, 1, ParamValue("A", 4.0)),
-        (0.2, 4, 1, RawImu(xmag=1)),
-    ]
+    said += [(0.1, system, 1, ParamValue("A", float(system))) for system in (3, 4)]
+    said += [(0.2, 4, 1, RawImu(xmag=1))]
     path = write_tlog(tmp_path / "a.tlog", said)
     with open_link(str(path)) as link:
         link.send(ParamRequestRead(4, 1, "A"))

@@ -64,7 +64,7 @@ SPELLINGS: dict[str, Address] = {
 def test_every_spelling_is_understood(source: str) -> None:
     address = parse_address(source)
     assert address == SPELLINGS[source]
-    if not isinstance(address, Recording):
+    if address != Recording(Path("odd name")):  # which only the word before it tells from an address
         assert parse_address(str(address)) == address, "the canonical spelling means the same"
 
 

@@ -165,6 +165,9 @@ def test_with_a_key_unsigned_and_wrongly_signed_frames_are_refused() -> None:
     right = FrameWriter(signing=Signing(KEY)).write(SAMPLE, 1, 1)
     assert [f.raw for f in parser.feed(right)] == [right]
     assert (counts.refused, counts.signed) == (2, 0)
+    # A radio says how it is doing for itself, and has no key.
+    radio = theirs.MAVLink_radio_status_message(99, 2, 3, 4, 5, 6, 7).pack(pymavlink(51, 68))
+    assert [f.raw for f in parser.feed(radio)] == [radio] and counts.refused == 2
 
 
 def test_without_a_key_signed_frames_are_read_like_any_other() -> None:
