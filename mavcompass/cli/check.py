@@ -63,8 +63,8 @@ def command(
     """Check the compass before a flight: pass, warn or fail, with reasons and remedies.
 
     It looks at parameters, field, dip, agreement of the compasses, gyro and estimator at rest, and turns
-    the vehicle once by 90 degrees where that is possible. It writes nothing. Exit code: 0 fit (or a
-    warning), 5 not fit, 3 no vehicle, 7 stopped.
+    the vehicle once by 90 degrees where that is possible; of a recording it goes by all of it. It writes
+    nothing. Exit code: 0 fit (or a warning), 5 not fit, 3 no vehicle, 7 stopped.
 
     \b
     mavcompass check sim:rover
