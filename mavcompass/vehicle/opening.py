@@ -67,12 +67,7 @@ def open_link(
             from mavcompass.vehicle.replay import ReplayedLink
 
             return ReplayedLink.playing(path, identity)
-        case Mavsdk(url):
-            from mavcompass.vehicle.links.wire import WireLink
-            from mavcompass.vehicle.transport.mavsdk import MavsdkTransport
-
-            return WireLink(MavsdkTransport(url), identity, signing or _key_of_environment())
-        case UdpIn() | UdpOut() | Tcp() | TcpIn() | Serial():
+        case Mavsdk() | UdpIn() | UdpOut() | Tcp() | TcpIn() | Serial():
             from mavcompass.vehicle.links.wire import WireLink
             from mavcompass.vehicle.transport import open_transport
 

@@ -40,8 +40,8 @@ __all__ = [
 ]
 
 
-def open_transport(address: WireAddress, reconnect: Reconnect | None = None) -> Transport:
-    """Open a port. Raises UsageError or NoVehicle."""
+def open_transport(address: WireAddress | Mavsdk, reconnect: Reconnect | None = None) -> Transport:
+    """Open a port, or what passes frames on. Raises UsageError or NoVehicle."""
     reconnect = Reconnect() if reconnect is None else reconnect
     match address:
         case UdpIn(host, port):
@@ -64,3 +64,7 @@ def open_transport(address: WireAddress, reconnect: Reconnect | None = None) -> 
             from mavcompass.vehicle.transport.serial import open_serial
 
             return open_serial(device, baud, reconnect)
+        case Mavsdk(url):
+            from mavcompass.vehicle.transport.mavsdk import MavsdkTransport
+
+            return MavsdkTransport(url)
