@@ -290,7 +290,7 @@ def _tried(case: Case, result: CalibrationResult, rotation: FloatArray, log_evid
         # Readings that are turned clockwise show a heading that much less.
         away = found.apart_rad(0)
         # What no longer shrinks is what two headings differ by however the compass is turned.
-        if abs(away) < (others_rad if free else own_rad) or abs(away) > 0.5 * before_rad:
+        if abs(away) < (others_rad if free else own_rad) or not abs(away) <= 0.5 * before_rad:
             break
         before_rad = abs(away)
         rotation = numbered(track, instance, euler_to_matrix(0.0, 0.0, away) @ rotation, own_rad)

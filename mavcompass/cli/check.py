@@ -101,12 +101,13 @@ def _as_recorded(source: str, settings: CheckSettings) -> CheckSettings:
     try:
         track = read_track(source)
         headings = {i: heading_of_track(track, None, i).north for i in track.compasses}
-        north = {i: seen for i, seen in headings.items() if seen is not None}
-        return replace(settings, north=north, found=calibrate_compasses(track))
-    except PoorCalibration:
-        return replace(settings, north=north)
     except BadRecording:
         return settings  # what can be checked of it is
+    settings = replace(settings, north={i: seen for i, seen in headings.items() if seen is not None})
+    try:
+        return replace(settings, found=calibrate_compasses(track))
+    except (BadRecording, PoorCalibration):
+        return settings
 
 
 def _check(link: Link, source: str, settings: CheckSettings, show: Any) -> CheckReport:

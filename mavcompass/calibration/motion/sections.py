@@ -215,7 +215,7 @@ def cut_sections(
         load=mean(loads) - middle_load,
         load_mean=middle_load,
         repeats=np.bincount(visit)[visit].astype(float),
-        gyro_rate_hz=1.0 / max(record.interval_s, 1e-6),
+        gyro_rate_hz=record.rate_hz,
     )
 
 

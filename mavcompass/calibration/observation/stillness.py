@@ -186,9 +186,7 @@ def observe(
         )
     data = assemble(track, dwells, instance, record)
     sigma_rad = np.array([step.sigma_rad for step in data.steps])
-    if nothing_known := too_sparse(
-        np.diff(data.turned_rad), sigma_rad, 1.0 / record.interval_s, NO_HEADING_RAD
-    ):
+    if nothing_known := too_sparse(np.diff(data.turned_rad), sigma_rad, record.rate_hz, NO_HEADING_RAD):
         raise nothing_known
     return data
 

@@ -67,6 +67,11 @@ class TurnRecord:
     walk_rad: float = 0.0
     interval_s: float = 0.0
 
+    @property
+    def rate_hz(self) -> float:
+        """Return how many times a second the gyro was told; clocks may stand still for most of it."""
+        return 1.0 / max(self.interval_s, 1e-6)
+
     def angle_at(self, time_s: FloatArray) -> FloatArray:
         """Return the turned angle at other times, radians."""
         return np.interp(time_s, self.time_s, self.angle_rad)

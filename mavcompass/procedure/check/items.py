@@ -187,7 +187,8 @@ def judge_calibration(found: CalibrationResult) -> CheckItem | None:
     """Judge the values in force by a calibration of all that was recorded, at its three sigmas."""
     instance = found.instance
     if found.mounting.turned is not None:
-        return CheckItem("mounting", "fail", found.reasons[0], "Calibrate with --orientation.", instance)
+        remedy = "Calibrate with --orientation." if found.mounting.mended else "Set that right first."
+        return CheckItem("mounting", "fail", found.reasons[0], remedy, instance)
     if not found.accepted:
         return None
     text = (

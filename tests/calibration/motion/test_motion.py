@@ -250,6 +250,15 @@ def test_telemetry_once_a_second_is_called_too_seldom() -> None:
     assert rms(heading_errors(whole.correction, iron_of(STRONG))) < 2.0 * whole.heading_sigma_deg
 
 
+def test_a_gyro_told_by_threes_at_one_time_is_taken() -> None:
+    track = turning_track(iron_of(STRONG), dwell_s=3.0, turn_s=2.0, turns_deg=ROUND)
+    gyro = track.gyro_radps
+    assert gyro is not None
+    at_once = Series.of(np.repeat(gyro.time_s[::3], 3)[: len(gyro)], gyro.values)
+    result = calibrate_track(replace(track, gyro_radps=at_once), earth=FIELD)
+    assert rms(heading_errors(result.correction, iron_of(STRONG))) < 3.0 * result.heading_sigma_deg
+
+
 def test_iron_that_changes_is_noticed_and_the_last_stretch_taken() -> None:
     after = iron_of(STRONG)
     track = turning_track(after, dwell_s=2.0, turn_s=2.5, turns_deg=(*ROUND, *ROUND))
