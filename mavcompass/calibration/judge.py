@@ -31,10 +31,16 @@ from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import BEYOND_CHANCE, CalibrationResult, Limits, Mounting, Witness
 from mavcompass.calibration.rigid import DEFAULT_PRIOR
 from mavcompass.compass_parameters import is_calibrated, orientation_name
-from mavcompass.compass_parameters.orientations import NUMBERED_WITHIN_RAD, angle_between
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import PoorCalibration
-from mavcompass.frames import NO_HEADING_RAD, FloatArray, euler_to_matrix, wrap_pi
+from mavcompass.frames import (
+    NO_HEADING_RAD,
+    NUMBERED_WITHIN_RAD,
+    FloatArray,
+    angle_between,
+    euler_to_matrix,
+    wrap_pi,
+)
 from mavcompass.heading.evidence import (
     FLOOR_RAD,
     CompassHeading,

@@ -25,10 +25,9 @@ from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult, Mounting
 from mavcompass.calibration.rigid import DEFAULT_PRIOR
 from mavcompass.compass_parameters import mounting_values, sensor_to_body, values
-from mavcompass.compass_parameters.orientations import NUMBERED, angle_between, nearest
 from mavcompass.correction import IDENTITY
 from mavcompass.errors import PoorCalibration, Refused
-from mavcompass.frames import NO_HEADING_RAD, FloatArray
+from mavcompass.frames import NO_HEADING_RAD, NUMBERED, FloatArray, angle_between, nearest
 from mavcompass.heading.compute import level_field
 from mavcompass.printable import named
 from mavcompass.track import Series, Track

@@ -13,7 +13,7 @@ from mavcompass import api
 from mavcompass.calibration import Limits, calibrate_compasses
 from mavcompass.calibration.result import CalibrationResult, summary
 from mavcompass.cli.options import Output
-from mavcompass.cli.terminal.colour import styled
+from mavcompass.cli.terminal.lines import styled
 from mavcompass.errors import BadRecording, MavCompassError, PoorCalibration
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Machine, Show

@@ -20,7 +20,7 @@ from mavcompass.cli.source import (
     system_option,
     this_year,
 )
-from mavcompass.cli.terminal.colour import mark
+from mavcompass.cli.terminal.lines import mark
 from mavcompass.installation.invocation import program
 from mavcompass.vehicle.transport import Recording, parse_address
 

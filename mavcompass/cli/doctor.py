@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from mavcompass.cli.options import Output, common_options
-from mavcompass.cli.terminal.colour import mark, styled
+from mavcompass.cli.terminal.lines import mark, styled
 from mavcompass.installation.invocation import program
 
 if TYPE_CHECKING:

@@ -13,8 +13,7 @@ import click
 
 from mavcompass.cli.options import FILE, Number, Output, Whole, common_options, to_json
 from mavcompass.cli.source import require_for, sign_key_option, system_option
-from mavcompass.cli.terminal.colour import is_live
-from mavcompass.cli.terminal.lines import dial
+from mavcompass.cli.terminal.lines import dial, is_live
 from mavcompass.errors import UsageError
 from mavcompass.installation.parts import require
 from mavcompass.vehicle.transport import Address, Recording, parse_address

@@ -19,7 +19,7 @@ import click
 
 from mavcompass import __version__
 from mavcompass.cli.options import Commands, discard_standard_output, verbose_option
-from mavcompass.cli.terminal.colour import styled, wrapped
+from mavcompass.cli.terminal.lines import styled, wrapped
 from mavcompass.errors import MavCompassError
 from mavcompass.printable import printable
 

@@ -16,7 +16,7 @@ from typing import Any, TypeVar, cast
 
 import click
 
-from mavcompass.cli.terminal.colour import wrapped
+from mavcompass.cli.terminal.lines import wrapped
 from mavcompass.files import write_text
 from mavcompass.printable import did_you_mean, printable
 

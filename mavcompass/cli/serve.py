@@ -12,9 +12,9 @@ import click
 
 from mavcompass.cli.options import FILE, Number, verbose_option
 from mavcompass.cli.source import require_for, sign_key_option, system_option
-from mavcompass.cli.terminal.colour import wrapped
+from mavcompass.cli.terminal.lines import wrapped
 from mavcompass.errors import UsageError
-from mavcompass.installation.data_files import params_path
+from mavcompass.installation.parts import params_path
 
 
 def _print_config(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:

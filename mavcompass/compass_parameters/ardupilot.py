@@ -18,9 +18,12 @@ from typing import Literal
 
 import numpy as np
 
-from mavcompass.compass_parameters.orientations import (
+from mavcompass.correction import FieldCorrection, MotorSource, Vector
+from mavcompass.errors import Refused
+from mavcompass.frames import (
     NUMBERED,
     NUMBERED_WITHIN_RAD,
+    FloatArray,
     Orientations,
     angle_between,
     angles_of,
@@ -29,9 +32,6 @@ from mavcompass.compass_parameters.orientations import (
     rotation_of,
     spelled,
 )
-from mavcompass.correction import FieldCorrection, MotorSource, Vector
-from mavcompass.errors import Refused
-from mavcompass.frames import FloatArray
 
 ArduPilotNaming = Literal["COMPASS_OFS2_X", "COMPASS2_OFS_X"]
 

@@ -17,9 +17,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from mavcompass.compass_parameters.orientations import (
+from mavcompass.correction import FieldCorrection, MotorSource, Vector
+from mavcompass.errors import Refused
+from mavcompass.frames import (
     NUMBERED,
     NUMBERED_WITHIN_RAD,
+    FloatArray,
     Orientations,
     angles_of,
     nearest,
@@ -27,9 +30,6 @@ from mavcompass.compass_parameters.orientations import (
     rotation_of,
     spelled,
 )
-from mavcompass.correction import FieldCorrection, MotorSource, Vector
-from mavcompass.errors import Refused
-from mavcompass.frames import FloatArray
 from mavcompass.units import MGAUSS_PER_GAUSS
 
 PX4_CUSTOM = 100

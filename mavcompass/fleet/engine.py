@@ -14,7 +14,7 @@ from typing import Any
 from mavcompass.errors import LinkError, MavCompassError
 from mavcompass.installation.parts import require
 from mavcompass.workers import Answer, Children, Failure
-from mavcompass.workers.children import Task
+from mavcompass.workers.child import Task
 
 _CONNECT_S = 10.0
 _LOOK_UP_S = 1.0

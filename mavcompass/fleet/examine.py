@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from mavcompass.errors import BadRecording, MavCompassError
-from mavcompass.fleet.vehicles import accelerometer_mark
+from mavcompass.fleet.recordings import accelerometer_mark
 
 if TYPE_CHECKING:
     from mavcompass.calibration.result import CalibrationResult

@@ -13,11 +13,10 @@ from mavcompass.fleet.columns import write_parquet
 from mavcompass.fleet.engine import Engine
 from mavcompass.fleet.examine import Job, Row, error_row, examine
 from mavcompass.fleet.journal import Journal
-from mavcompass.fleet.recordings import Recording
-from mavcompass.fleet.vehicles import told_apart
+from mavcompass.fleet.recordings import Recording, told_apart
 from mavcompass.installation.parts import require
 from mavcompass.workers import Answer
-from mavcompass.workers.children import Task
+from mavcompass.workers.child import Task
 
 Examine = Callable[[Job, str], list[Row]]
 _ONE_PROCESS = Engine()

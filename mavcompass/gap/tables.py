@@ -19,7 +19,7 @@ from typing import Any, Literal, cast, get_args
 import numpy as np
 
 from mavcompass.frames import FloatArray
-from mavcompass.installation.data_files import params_path
+from mavcompass.installation.parts import params_path
 
 SCHEMA = "mavcompass.gap-criterion/1"
 # How a recording is known: beside a baseline that the simulation explains in detail, beside another one,

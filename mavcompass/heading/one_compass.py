@@ -14,7 +14,13 @@ from mavcompass.earth_field import EarthField, earth_field_of, middle_place
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray, tilt_from_acceleration, wrap_two_pi
 from mavcompass.gravity import require_gravity
-from mavcompass.heading.compute import grid_heading, level_field, tilt_compensated_heading, true_heading
+from mavcompass.heading.compute import (
+    grid_heading,
+    level_field,
+    tilt_compensated_heading,
+    true_heading,
+    two_axis_heading,
+)
 from mavcompass.heading.doubt import (
     TILT_SIGMA_RAD,
     CalibrationDoubt,
@@ -22,7 +28,6 @@ from mavcompass.heading.doubt import (
     turned_since_new,
 )
 from mavcompass.heading.true_north import TrueNorth
-from mavcompass.heading.two_axis import two_axis_heading
 from mavcompass.track import Track
 
 # The date of a recording that does not tell it: the middle of WMM2025's years.

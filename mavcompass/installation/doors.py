@@ -1,9 +1,15 @@
-"""The door of a room whose names are looked up when they are first used, so that opening it costs nothing."""
+"""What is looked up only when it is asked for.
+
+The door of a room hands out names when they are first used, so that opening it costs nothing. What the files
+of a folder add to the program is found, so that one new file is all that an addition takes.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import pkgutil
+from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
+from types import ModuleType
 from typing import Any
 
 
@@ -21,3 +27,14 @@ def door(package: str, names: Mapping[str, str]) -> tuple[Callable[[str], Any], 
         return getattr(import_module(f"{package}.{names[name]}"), name)
 
     return look_up, lambda: sorted(names)
+
+
+def module_names(package: ModuleType) -> list[str]:
+    """List the files and folders of a package, without importing them; a leading underscore hides one."""
+    return [m.name for m in pkgutil.iter_modules(package.__path__) if not m.name.startswith("_")]
+
+
+def modules_in(package: ModuleType) -> Iterator[ModuleType]:
+    """Import them, one after another, in the order of their names."""
+    for name in module_names(package):
+        yield import_module(f"{package.__name__}.{name}")

@@ -1,12 +1,38 @@
-"""Parts that a lean installation may lack, so that a command can ask for them before it begins."""
+"""What an installation holds: the files of `params/`, and parts that a lean one may lack.
+
+The files are beside the package in a checkout, inside it where a wheel was installed. A command can ask for
+the parts that it needs before it begins.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib.util import find_spec
+from pathlib import Path
 
-from mavcompass.errors import UsageError
+from mavcompass.errors import MavCompassError, UsageError
 from mavcompass.installation.invocation import pip_install
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def params_path(name: str = "") -> Path:
+    """Find a file or folder of `params/` by its relative name, such as "vehicles/rover.toml".
+
+    Raises
+    ------
+    MavCompassError
+        When this installation has no such file.
+    """
+    installed = _PACKAGE / "_params"
+    folder = installed if installed.is_dir() else _PACKAGE.parent / "params"
+    path = folder / name
+    if not path.exists():
+        raise MavCompassError(
+            f"The data file {path} is missing from this installation of mavcompass.",
+            "Install mavcompass again, or run it from a complete checkout.",
+        )
+    return path
 
 
 @dataclass(frozen=True, slots=True)

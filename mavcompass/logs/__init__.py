@@ -8,7 +8,7 @@ from mavcompass.installation.doors import door
 
 if TYPE_CHECKING:
     from mavcompass.logs.formats.csv.writer import write_track_csv as write_track_csv
-    from mavcompass.logs.formats.tlog.writer import TlogWriter as TlogWriter
+    from mavcompass.logs.formats.tlog.frames import TlogWriter as TlogWriter
     from mavcompass.logs.reading import read_track as read_track
     from mavcompass.logs.reading import read_tracks as read_tracks
 
@@ -17,7 +17,7 @@ __getattr__, __dir__ = door(
     {
         "read_track": "reading",
         "read_tracks": "reading",
-        "TlogWriter": "formats.tlog.writer",
+        "TlogWriter": "formats.tlog.frames",
         "write_track_csv": "formats.csv.writer",
     },
 )

@@ -12,10 +12,10 @@ import numpy as np
 from mavcompass.credible import with_credible_readings
 from mavcompass.errors import BadRecording, NoMagnetometer, UsageError
 from mavcompass.files import require_file
-from mavcompass.installation.additions import modules_in
+from mavcompass.installation.doors import modules_in
 from mavcompass.logs import formats
-from mavcompass.time_base import with_sound_times
 from mavcompass.track import Track
+from mavcompass.track_builder import with_sound_times
 
 _LOOKED_AT = 4096
 

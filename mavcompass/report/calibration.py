@@ -14,7 +14,7 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import earth_field_of
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.report import figures
-from mavcompass.report.page import write_page
+from mavcompass.report.svg import write_page
 from mavcompass.track import Track
 
 

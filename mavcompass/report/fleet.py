@@ -10,8 +10,7 @@ import numpy as np
 
 from mavcompass.fleet.summary import LEAST_MGAUSS, NOTABLE_DEG, ONE_FLIGHT_S, History, Summary, Vehicle
 from mavcompass.frames import FloatArray
-from mavcompass.report.page import write_page
-from mavcompass.report.svg import Plot, bars, limits
+from mavcompass.report.svg import Plot, bars, limits, write_page
 
 # Units of time, the first that recordings span two of: seconds, name, how their beginning is written.
 _UNITS = (

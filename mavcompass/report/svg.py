@@ -1,20 +1,68 @@
-"""Small plots as inline SVG: scalable, light, and coloured by the page's style sheet, dark or light.
+"""A self-contained HTML file from a template of this room, and small plots in it as inline SVG.
 
-A plot is built from text pieces; dots are rounded to a tenth of a pixel, so a thousand stay below twenty
-kilobytes. Marks carry classes (`old`, `new`, `point`, ...), never colours. The picture is all that paper and
-a reader without scripts need, and it holds its own data: templates/plot.js reads them from the paths, and
-adds values under the pointer, zoom and turning.
+They are scalable, light, and coloured by the page's style sheet, dark or light. A plot is built from text
+pieces; dots are rounded to a tenth of a pixel, so a thousand stay below twenty kilobytes. Marks carry
+classes (`old`, `new`, `point`, ...), never colours. The picture is all that paper and a reader without
+scripts need, and it holds its own data: templates/plot.js reads them from the paths, and adds values under
+the pointer, zoom and turning.
 """
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from html import escape
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+from mavcompass import __version__
+from mavcompass.files import write_text
+from mavcompass.installation.parts import require
+from mavcompass.printable import figure
+
+_TEMPLATES = Path(__file__).with_name("templates")
+# What makes plots answer to hands, and how they look: of the reports and of the service's page.
+PLOT_PARTS = (_TEMPLATES / "plot.js", _TEMPLATES / "plot.css")
+_SCRIPT = PLOT_PARTS[0].read_text("utf-8")
+# Nothing is loaded, and no script runs but ours, whatever a recording's words may hold.
+_HASH = base64.b64encode(hashlib.sha256(_SCRIPT.encode()).digest()).decode()
+POLICY = (
+    f"default-src 'none'; script-src 'sha256-{_HASH}'; style-src 'unsafe-inline'; img-src data:;"
+    " base-uri 'none'; form-action 'none'"
+)
+
+
+def write_page(path: Path, template: str, values: Mapping[str, object]) -> None:
+    """Fill a template and write the page; everything is escaped but the figures.
+
+    Raises UsageError where the package that does it is not installed or the file cannot be written.
+    """
+    require("An HTML report")
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(_TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["figure"] = figure
+    made = {
+        "policy": POLICY,
+        "script": _SCRIPT,
+        "made_at": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "version": __version__,
+    }
+    html = environment.get_template(template).render({**values, **made})
+    write_text(path, html, "The report")
+
 
 _LEFT, _RIGHT, _TOP, _BOTTOM = 46.0, 12.0, 12.0, 34.0
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from mavcompass import messages as mav
 from mavcompass.attitude import Level
-from mavcompass.attitude.heard import hear
+from mavcompass.attitude.recorded import hear
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.compass_parameters import is_calibrated
 from mavcompass.earth_field import EarthField

@@ -20,12 +20,19 @@ from mavcompass.messages import Heartbeat, Message
 from mavcompass.simulation.ardupilot import ArduPilot
 from mavcompass.simulation.autopilot.board import Board, Outgoing
 from mavcompass.simulation.autopilot.firmware import Firmware, Sender
-from mavcompass.simulation.physics.compasses import Calibration, CompassSetup, draw_compasses
 from mavcompass.simulation.physics.hand import HandMove
 from mavcompass.simulation.physics.motion import Body, Drive
 from mavcompass.simulation.physics.noise import generator
 from mavcompass.simulation.physics.profiles import profile
-from mavcompass.simulation.physics.sensors import COMPASS_PERIOD_US, Distortion, Truth, truth_of
+from mavcompass.simulation.physics.sensors import (
+    COMPASS_PERIOD_US,
+    Calibration,
+    CompassSetup,
+    Distortion,
+    Truth,
+    draw_compasses,
+    truth_of,
+)
 from mavcompass.simulation.physics.world import DEFAULT_UTC_S, draw_world
 from mavcompass.simulation.px4 import Px4
 

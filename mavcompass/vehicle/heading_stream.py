@@ -8,15 +8,14 @@ from dataclasses import dataclass
 
 from mavcompass import messages as mav
 from mavcompass.attitude import Level
-from mavcompass.attitude.heard import hear
+from mavcompass.attitude.recorded import hear
 from mavcompass.compass_parameters import is_calibrated
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkLost, NoReply, Refused
-from mavcompass.heading.compute import grid_convergence_rad
+from mavcompass.heading.compute import TwoAxisCompass, grid_convergence_rad
 from mavcompass.heading.doubt import prior_sigma_rad
 from mavcompass.heading.live import Agreement, LiveCompass
 from mavcompass.heading.true_north import TrueNorth
-from mavcompass.heading.two_axis import TwoAxisCompass
 from mavcompass.messages.telemetry import field_mgauss, imu_time_s
 from mavcompass.parameter_remarks import remarks_said
 from mavcompass.procedure.commands import MessageRates

@@ -20,8 +20,8 @@ from mavcompass.frames import FloatArray, euler_to_matrix
 from mavcompass.logs import TlogWriter
 from mavcompass.simulation.autopilot.board import Outgoing
 from mavcompass.simulation.effects import catalogue
-from mavcompass.simulation.physics.compasses import draw_compasses
 from mavcompass.simulation.physics.profiles import PROFILES
+from mavcompass.simulation.physics.sensors import draw_compasses
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.link import LinkStatistics
 from mavcompass.vehicle.links.simulated import SimulatedLink

@@ -28,7 +28,7 @@ from mavcompass.gap.diagnose import examine, withheld_effects
 from mavcompass.gap.tables import KINDS, OUTCOMES, SCHEMA
 from mavcompass.gap.trial.cases import Label, case_of, draw_case
 from mavcompass.gap.trial.trial import Answer, score
-from mavcompass.installation.data_files import params_path
+from mavcompass.installation.parts import params_path
 
 # What is learnt from, and what judges: maker, tier, with a baseline, first seed, how many.
 LOT: tuple[tuple[str, str, bool, int, int], ...] = (

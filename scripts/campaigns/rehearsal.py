@@ -40,7 +40,7 @@ from mavcompass.logs import read_track
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg, heading_errors_rad
-from mavcompass.simulation.physics.compasses import draw_compasses
+from mavcompass.simulation.physics.sensors import draw_compasses
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.track import Track
 from mavcompass.vehicle.calibrating import calibrate_on

@@ -18,7 +18,7 @@ from pathlib import Path
 from campaign import ended, folder, options, share
 
 from mavcompass.messages import Attitude
-from mavcompass.messages.frame import SIGNATURE_BYTES
+from mavcompass.messages.message import SIGNATURE_BYTES
 from mavcompass.vehicle.wire.framing import FrameWriter, split_frame
 from mavcompass.vehicle.wire.signing import Signing
 

@@ -31,8 +31,8 @@ from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.effects.effect import Distortion, Setting
 from mavcompass.simulation.effects.registry import catalogue
 from mavcompass.simulation.heading_error import heading_error_rms_deg
-from mavcompass.simulation.physics.compasses import draw_compasses
 from mavcompass.simulation.physics.profiles import PROFILES
+from mavcompass.simulation.physics.sensors import draw_compasses
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.links.faults import Faults, FaultyLink

@@ -10,7 +10,7 @@ from driven import driven
 
 from mavcompass import messages as mav
 from mavcompass.attitude import Level
-from mavcompass.attitude.heard import hear
+from mavcompass.attitude.recorded import hear
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
 from mavcompass.units import MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS, STANDARD_GRAVITY_MPS2
 

@@ -17,8 +17,7 @@ from mavcompass.cli.calibration import _told_later
 from mavcompass.cli.heading import Row
 from mavcompass.cli.main import main
 from mavcompass.cli.options import Output
-from mavcompass.cli.terminal.colour import wrapped
-from mavcompass.cli.terminal.lines import dial
+from mavcompass.cli.terminal.lines import dial, wrapped
 from mavcompass.cli.terminal.show import LiveShow, PlainShow, ask_on_terminal
 from mavcompass.installation.invocation import program
 from mavcompass.procedure.script import Ask, Show

@@ -10,7 +10,7 @@ import pytest
 
 from mavcompass.fleet.examine import Row
 from mavcompass.fleet.population import learn, write_distribution
-from mavcompass.fleet.population.pooling import pool
+from mavcompass.fleet.population.estimates import pool
 from mavcompass.fleet.summary import summarise
 from mavcompass.simulation.effects.registry import distortion
 

@@ -10,10 +10,9 @@ from fleet_samples import looked_at, write_recording
 
 from mavcompass.fleet.engine import Engine
 from mavcompass.fleet.examine import Job, Row
-from mavcompass.fleet.recordings import find_recordings
+from mavcompass.fleet.recordings import accelerometer_mark, find_recordings, told_apart
 from mavcompass.fleet.run import Progress, run_fleet
 from mavcompass.fleet.summary import summarise
-from mavcompass.fleet.vehicles import accelerometer_mark, told_apart
 
 SIDES = ("x", "y", "z")
 

@@ -15,7 +15,7 @@ from mavcompass.frames import FloatArray, quaternion_to_matrix
 from mavcompass.gap.comparison import SCHEMA, compare
 from mavcompass.gap.diagnose import Replayed, diagnose_gap
 from mavcompass.gap.trial.vehicles.cases import make_case
-from mavcompass.report.compare_words import compare_summary
+from mavcompass.report.compare import compare_summary
 from mavcompass.track import Track
 
 IRON = np.array([60.0, -35.0, 10.0])

@@ -17,7 +17,7 @@ from mavcompass.gap.attitude.reference import ReferenceKind
 from mavcompass.gap.diagnose import examine
 from mavcompass.gap.tables import KINDS, OUTCOMES, parsed, tables, usual
 from mavcompass.gap.trial.cases import Recipe, make_track
-from mavcompass.installation.data_files import params_path
+from mavcompass.installation.parts import params_path
 
 ROOT = Path(__file__).parents[2]
 DOCUMENT: dict[str, Any] = json.loads(params_path("gap/criterion.json").read_text(encoding="utf-8"))

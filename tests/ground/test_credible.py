@@ -13,7 +13,7 @@ import pytest
 from mavcompass import messages as mav
 from mavcompass.credible import with_credible_readings
 from mavcompass.logs import read_track
-from mavcompass.logs.formats.csv.columns import KNOWN, TIME
+from mavcompass.logs.formats.csv.reader import KNOWN, TIME
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.track_builder import TrackBuilder
 

@@ -11,7 +11,7 @@ import pytest
 from hatchling.builders.wheel import WheelBuilder
 
 from mavcompass.errors import MavCompassError
-from mavcompass.installation.data_files import params_path
+from mavcompass.installation.parts import params_path
 
 PROJECT = Path(__file__).resolve().parents[2]
 
@@ -34,7 +34,7 @@ def test_a_wheel_holds_the_package_and_its_params(tmp_path: Path) -> None:
     assert {name.split("/")[0].split("-")[0] for name in names} == {"mavcompass"}
     assert "mavcompass/py.typed" in names
 
-    code = "from mavcompass.installation.data_files import params_path; print(params_path('README.md'))"
+    code = "from mavcompass.installation.parts import params_path; print(params_path('README.md'))"
     # -S leaves out this environment, in which the checkout itself is installed
     done = subprocess.run(
         [sys.executable, "-S", "-c", code], cwd=tmp_path / "site", capture_output=True, text=True, timeout=300

@@ -17,10 +17,9 @@ from mavcompass.compass_parameters import (
     sensor_to_body,
     values,
 )
-from mavcompass.compass_parameters.orientations import NUMBERED_WITHIN_RAD, angle_between, rotation_of
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import Refused
-from mavcompass.frames import FloatArray
+from mavcompass.frames import NUMBERED_WITHIN_RAD, FloatArray, angle_between, rotation_of
 
 ARDUPILOT = {"COMPASS_EXTERNAL": 1.0, "COMPASS_ORIENT": 0.0, "CUST_ROT_ENABLE": 0.0}
 BEFORE_4_2 = {"COMPASS_EXTERNAL": 1.0, "COMPASS_ORIENT": 0.0, "COMPASS_CUS_ROLL": 0.0}

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavcompass.correction import IDENTITY, FieldCorrection
-from mavcompass.time_base import with_sound_times
 from mavcompass.track import InForce, MagSeries, Series, Track
+from mavcompass.track_builder import with_sound_times
 
 HOUR_S = 3600.0
 

@@ -13,9 +13,8 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField, earth_field
 from mavcompass.frames import euler_to_matrix, rotate_back, wrap_pi
 from mavcompass.heading import heading_of_track, level_heading, tilt_compensated_heading, two_axis_heading
-from mavcompass.heading.compute import grid_convergence_rad
+from mavcompass.heading.compute import TwoAxisCompass, grid_convergence_rad
 from mavcompass.heading.deviation import fit_deviation
-from mavcompass.heading.two_axis import TwoAxisCompass
 from mavcompass.track import MagSeries, Series, Track
 
 FIELD = np.array([200.0, 0.0, 430.0])

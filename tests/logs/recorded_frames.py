@@ -7,7 +7,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-from mavcompass.logs.formats.tlog.writer import TlogWriter
+from mavcompass.logs.formats.tlog.frames import TlogWriter
 
 T0_US = 1_700_000_000_000_000
 HEARTBEATS = {

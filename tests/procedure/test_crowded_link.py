@@ -15,7 +15,7 @@ from mavcompass.messages import Message
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.autopilot.board import Outgoing
 from mavcompass.simulation.heading_error import heading_error_rms_deg
-from mavcompass.simulation.physics.compasses import draw_compasses
+from mavcompass.simulation.physics.sensors import draw_compasses
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.simulated import SimulatedLink
 

@@ -14,7 +14,7 @@ import pytest
 from running_service import RunningService
 
 from mavcompass import __version__
-from mavcompass.installation.data_files import params_path
+from mavcompass.installation.parts import params_path
 from mavcompass.service.config import ServiceConfig, load_config
 from mavcompass.service.run import STUCK_S
 from mavcompass.vehicle.transport import UdpIn, parse_address

@@ -9,8 +9,7 @@ import pytest
 
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.simulation.heading_error import heading_error_rms_deg, heading_errors_rad
-from mavcompass.simulation.physics.compasses import CompassSetup
-from mavcompass.simulation.physics.sensors import CompassModel
+from mavcompass.simulation.physics.sensors import CompassModel, CompassSetup
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 
 

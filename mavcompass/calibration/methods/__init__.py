@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from mavcompass.errors import UsageError
-from mavcompass.installation.additions import module_names
+from mavcompass.installation.doors import module_names
 
 if TYPE_CHECKING:
     from mavcompass.calibration.recorded import Recorded

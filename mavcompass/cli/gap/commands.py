@@ -336,7 +336,7 @@ def rehearse(
             track, diagnosis, draws, seed, reference,  # type: ignore[arg-type]
             lambda done, of: draw(done, of, "calibrations"),
         )  # fmt: skip
-    from mavcompass.report.rehearsal import rehearsal_summary, write_rehearsal_report
+    from mavcompass.report.gap import rehearsal_summary, write_rehearsal_report
 
     say_summary(rehearsal_summary(result), output)
     output.write_json(result.to_json())

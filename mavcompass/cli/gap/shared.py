@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from mavcompass.cli.options import THERE, Output, Whole
-from mavcompass.cli.terminal.colour import styled
+from mavcompass.cli.terminal.lines import styled
 
 if TYPE_CHECKING:
     from mavcompass.gap.comparison import Comparison
@@ -68,7 +68,7 @@ def showing_progress(name: str) -> Iterator[Callable[[str], None]]:
 
 def say_comparison(comparison: Comparison, output: Output) -> None:
     """Say what to do, and how the two differ."""
-    from mavcompass.report.compare_words import compare_summary
+    from mavcompass.report.compare import compare_summary
 
     say_summary(compare_summary(comparison), output)
 

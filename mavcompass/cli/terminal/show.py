@@ -11,7 +11,7 @@ from collections.abc import Callable, Container, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from mavcompass.cli.terminal.colour import is_live, wrapped
+from mavcompass.cli.terminal.lines import is_live, wrapped
 from mavcompass.printable import printable
 from mavcompass.procedure.script import Ask, Show
 

@@ -1,6 +1,5 @@
 """The population: what the vehicles of a fleet have in common, and which is not like the others."""
 
-from mavcompass.fleet.population.distribution import Distribution, learn, write_distribution
-from mavcompass.fleet.population.odd import FALSE_NAMES, Odd
+from mavcompass.fleet.population.distribution import FALSE_NAMES, Distribution, Odd, learn, write_distribution
 
 __all__ = ["FALSE_NAMES", "Distribution", "Odd", "learn", "write_distribution"]

@@ -12,9 +12,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mavcompass.compass_parameters.orientations import NUMBERED, nearest
 from mavcompass.correction import IDENTITY, FieldCorrection
-from mavcompass.frames import SENSOR_ORIENTATIONS_DEG, FloatArray
+from mavcompass.frames import NUMBERED, SENSOR_ORIENTATIONS_DEG, FloatArray, nearest
 
 # Of the field's length: what two sound compasses may differ by, 3 deg and 5 %.
 _FITS = 0.08

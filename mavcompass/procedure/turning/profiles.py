@@ -9,8 +9,8 @@ from functools import cache, lru_cache
 from typing import Any
 
 from mavcompass.errors import MavCompassError
-from mavcompass.installation.additions import modules_in
-from mavcompass.installation.data_files import params_path
+from mavcompass.installation.doors import modules_in
+from mavcompass.installation.parts import params_path
 from mavcompass.procedure.modes import ModeKeeper
 from mavcompass.procedure.turning import ways
 from mavcompass.procedure.turning.pilots_controls import TurnBy, turn_by_controls

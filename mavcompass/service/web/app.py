@@ -21,7 +21,7 @@ from starlette.routing import BaseRoute, Route, WebSocketRoute
 
 from mavcompass import __version__
 from mavcompass.errors import MavCompassError
-from mavcompass.report.page import PLOT_PARTS, POLICY
+from mavcompass.report.svg import PLOT_PARTS, POLICY
 from mavcompass.service.config import ServiceConfig
 from mavcompass.service.models import Model
 from mavcompass.service.station import Station

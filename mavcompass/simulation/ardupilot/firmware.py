@@ -8,12 +8,11 @@ from mavcompass import messages as m
 from mavcompass.compass_parameters import ardupilot_values
 from mavcompass.enums import MavResult, MavSeverity
 from mavcompass.simulation.ardupilot.arming import Arming
-from mavcompass.simulation.ardupilot.commands import Commands
+from mavcompass.simulation.ardupilot.commands import Commands, Sources
 from mavcompass.simulation.ardupilot.compasses import INSTANCES, CompassBank
 from mavcompass.simulation.ardupilot.magnetometer_calibration import MagnetometerCalibration
 from mavcompass.simulation.ardupilot.modes import Modes, mode_rules
 from mavcompass.simulation.ardupilot.reports import ArduPilotReports
-from mavcompass.simulation.ardupilot.sources import Sources
 from mavcompass.simulation.ardupilot.steering import Steering
 from mavcompass.simulation.autopilot.board import Board, Status
 from mavcompass.simulation.autopilot.firmware import Firmware, Sender

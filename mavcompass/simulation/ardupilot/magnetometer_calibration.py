@@ -14,7 +14,7 @@ import numpy as np
 from mavcompass.correction import FieldCorrection, Vector
 from mavcompass.enums import MagCalStatus
 from mavcompass.messages import MagCalProgress, MagCalReport
-from mavcompass.simulation.autopilot.ellipsoid import TurnedReadings
+from mavcompass.simulation.autopilot.compasses import TurnedReadings
 
 _SAMPLES, _SPACING_RAD = 300, math.radians(6.3)
 _RADIUS_AT_FIRST, _RADIUS = 200.0, (150.0, 950.0)

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from mavcompass.enums import COMPONENT_AUTOPILOT, MavSeverity
 from mavcompass.messages import Message, Statustext
 from mavcompass.simulation.autopilot.attitude_filter import AttitudeFilter
-from mavcompass.simulation.physics.compasses import CompassSetup
 from mavcompass.simulation.physics.motion import Body
-from mavcompass.simulation.physics.sensors import Distortion, SensorSuite, Surroundings
+from mavcompass.simulation.physics.sensors import CompassSetup, Distortion, SensorSuite, Surroundings
 
 # Texts that nobody was there to read are dropped after this.
 _STALE_US = 5_000_000

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import cache
 
 from mavcompass.enums import MavParamType
-from mavcompass.installation.data_files import params_path
+from mavcompass.installation.parts import params_path
 from mavcompass.messages import ParamRequestRead, ParamSet, ParamValue
 from mavcompass.simulation.autopilot.board import Board
 

@@ -9,7 +9,7 @@ from types import MappingProxyType
 
 from mavcompass.errors import UsageError
 from mavcompass.files import read_text
-from mavcompass.installation.additions import modules_in
+from mavcompass.installation.doors import modules_in
 from mavcompass.simulation.effects import causes
 from mavcompass.simulation.effects.effect import Detector, Distortion, Effect, Setting
 

@@ -9,7 +9,7 @@ from typing import Literal
 from mavcompass.correction import FieldCorrection, Vector
 from mavcompass.enums import MavSeverity
 from mavcompass.simulation.autopilot.board import Board
-from mavcompass.simulation.autopilot.ellipsoid import TurnedReadings
+from mavcompass.simulation.autopilot.compasses import TurnedReadings
 from mavcompass.units import MGAUSS_PER_GAUSS, STANDARD_GRAVITY_MPS2
 
 # Each side by the specific force that it shows, in the order in which they are asked for.

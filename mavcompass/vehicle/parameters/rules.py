@@ -14,7 +14,7 @@ import numpy as np
 
 from mavcompass.correction import FieldCorrection
 from mavcompass.errors import MavCompassError
-from mavcompass.installation.data_files import params_path
+from mavcompass.installation.parts import params_path
 
 Range = tuple[float, float]
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from mavcompass.errors import UsageError
-from mavcompass.installation.data_files import params_path
+from mavcompass.installation.parts import params_path
 from mavcompass.vehicle.parameters.files import read_parameter_file
 from mavcompass.vehicle.simulators.program import Flight, RunningProgram, help_of
 from mavcompass.vehicle.transport import Transport

@@ -9,7 +9,7 @@ from struct import Struct
 from typing import Protocol
 
 from mavcompass.messages import Message
-from mavcompass.messages.frame import (
+from mavcompass.messages.message import (
     CHECKSUM_BYTES,
     FLAGS_AT,
     FRAME_STARTS,

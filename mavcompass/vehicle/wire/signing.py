@@ -13,7 +13,7 @@ from pathlib import Path
 
 from mavcompass.errors import UsageError
 from mavcompass.installation.private_files import locked, private_folder, state_directory, write_private
-from mavcompass.messages.frame import SIGNATURE_BYTES
+from mavcompass.messages.message import SIGNATURE_BYTES
 
 _EPOCH_2015_S = 1_420_070_400
 _TICKS_PER_S = 100_000

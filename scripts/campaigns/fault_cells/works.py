@@ -20,7 +20,7 @@ from mavcompass.service import station as station_module
 from mavcompass.service.config import ServiceConfig, StorageConfig, VehicleConfig
 from mavcompass.service.work.history import History
 from mavcompass.service.work.tasks import CalibrationRequest, Request, Task, UndoRequest
-from mavcompass.simulation.physics.compasses import draw_compasses
+from mavcompass.simulation.physics.sensors import draw_compasses
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.dialects import make_dialect

@@ -18,8 +18,7 @@ from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.errors import LinkLost
 from mavcompass.messages import Message, SetPositionTargetLocalNed
 from mavcompass.simulation.autopilot.board import Outgoing
-from mavcompass.simulation.physics.compasses import CompassSetup
-from mavcompass.simulation.physics.sensors import CompassModel
+from mavcompass.simulation.physics.sensors import CompassModel, CompassSetup
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.server import VehicleServer
 from mavcompass.vehicle.parameters.files import read_parameter_file

@@ -21,7 +21,7 @@ from mavcompass.gap.rehearsal.rehearse import Run
 from mavcompass.gap.result import Diagnosis
 from mavcompass.gap.trial.cases import Recipe, make_track
 from mavcompass.logs import read_track, write_track_csv
-from mavcompass.report.rehearsal import is_worth_it, rehearsal_summary, write_rehearsal_report
+from mavcompass.report.gap import is_worth_it, rehearsal_summary, write_rehearsal_report
 from mavcompass.track import Series, Track
 
 MOTOR_MGAUSS_PER_A = np.array([1.6, -1.0, 0.5])

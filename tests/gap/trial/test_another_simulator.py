@@ -13,7 +13,7 @@ from mavcompass.gap import diagnose_gap
 from mavcompass.gap.trial.cases import SHARES, case_of
 from mavcompass.gap.trial.closed_form import PLACES, make, quaternion, rotation_of, wave
 from mavcompass.gap.trial.trial import run_trial
-from mavcompass.logs.formats.csv.columns import KNOWN
+from mavcompass.logs.formats.csv.reader import KNOWN
 from mavcompass.simulation.effects import parse
 
 STEP_S = 1e-4

@@ -21,10 +21,9 @@ from mavcompass.enums import MavVtolState
 from mavcompass.errors import Refused
 from mavcompass.procedure.check import CheckReport, CheckSettings, check
 from mavcompass.procedure.script import Machine, Show
-from mavcompass.simulation.physics.compasses import CompassSetup
 from mavcompass.simulation.physics.hand import HandMove
 from mavcompass.simulation.physics.profiles import VehicleProfile
-from mavcompass.simulation.physics.sensors import CompassModel
+from mavcompass.simulation.physics.sensors import CompassModel, CompassSetup
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.driver import run

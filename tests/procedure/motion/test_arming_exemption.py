@@ -19,8 +19,8 @@ from mavcompass.procedure.script import Context, Script, nothing
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.procedure.vehicle_state import VehicleState
 from mavcompass.simulation.heading_error import heading_error_rms_deg
-from mavcompass.simulation.physics.compasses import draw_compasses
 from mavcompass.simulation.physics.noise import generator
+from mavcompass.simulation.physics.sensors import draw_compasses
 from mavcompass.simulation.px4.flight import Arming
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.dialects import make_dialect

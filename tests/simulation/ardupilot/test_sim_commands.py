@@ -8,8 +8,7 @@ import pytest
 from mavcompass import messages as m
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.simulation.heading_error import heading_error_rms_deg
-from mavcompass.simulation.physics.compasses import CompassSetup
-from mavcompass.simulation.physics.sensors import CompassModel
+from mavcompass.simulation.physics.sensors import CompassModel, CompassSetup
 
 FINE = FieldCorrection((50.0, -30.0, 20.0))
 

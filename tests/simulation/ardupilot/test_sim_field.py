@@ -8,8 +8,7 @@ from mavcompass.compass_parameters import ardupilot_values
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.frames import rotate_back
 from mavcompass.simulation.autopilot.reports import int16
-from mavcompass.simulation.physics.compasses import CompassSetup
-from mavcompass.simulation.physics.sensors import CompassModel
+from mavcompass.simulation.physics.sensors import CompassModel, CompassSetup
 
 IRON = FieldCorrection((120.0, -80.0, 40.0), (1.1, 0.9, 1.0), (0.02, 0.0, -0.01))
 

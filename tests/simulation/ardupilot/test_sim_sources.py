@@ -5,8 +5,7 @@ import math
 from mavcompass import messages as m
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import wrap_pi
-from mavcompass.simulation.physics.compasses import CompassSetup
-from mavcompass.simulation.physics.sensors import CompassModel
+from mavcompass.simulation.physics.sensors import CompassModel, CompassSetup
 
 IRON = FieldCorrection((50.0, -30.0, 20.0))
 WRONG = FieldCorrection((170.0, -110.0, 60.0))

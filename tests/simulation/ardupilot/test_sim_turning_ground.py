@@ -8,8 +8,7 @@ import pytest
 from mavcompass import messages as m
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import euler_to_quaternion
-from mavcompass.simulation.physics.compasses import CompassSetup
-from mavcompass.simulation.physics.sensors import CompassModel
+from mavcompass.simulation.physics.sensors import CompassModel, CompassSetup
 
 YAW_ONLY, RATE_ONLY, VELOCITY_AND_RATE = 0x9FF, 0x5FF, 0x5C7
 LOCAL, BODY = 1, 9

@@ -5,7 +5,7 @@ import pytest
 
 from mavcompass import messages as m
 from mavcompass.simulation.heading_error import heading_error_rms_deg
-from mavcompass.simulation.physics.compasses import draw_compasses
+from mavcompass.simulation.physics.sensors import draw_compasses
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 
 VEHICLES = ["rover", "ackermann-rover", "boat", "copter", "sub"]

@@ -11,12 +11,11 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import decimal_year, earth_field
 from mavcompass.frames import euler_to_matrix
 from mavcompass.simulation.heading_error import heading_error_rms_deg, heading_errors_rad
-from mavcompass.simulation.physics.compasses import CompassSetup
 from mavcompass.simulation.physics.hand import HandMove
 from mavcompass.simulation.physics.motion import rotation_matrix
 from mavcompass.simulation.physics.noise import NoiseTape, generator
 from mavcompass.simulation.physics.profiles import Place
-from mavcompass.simulation.physics.sensors import Compass, CompassModel
+from mavcompass.simulation.physics.sensors import Compass, CompassModel, CompassSetup
 from mavcompass.simulation.physics.world import World
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 

@@ -11,8 +11,7 @@ from mavcompass.compass_parameters import px4_correction, px4_sensor_to_body
 from mavcompass.correction import FieldCorrection
 from mavcompass.enums import MavType
 from mavcompass.simulation.heading_error import heading_error_rms_deg
-from mavcompass.simulation.physics.compasses import CompassSetup
-from mavcompass.simulation.physics.sensors import CompassModel
+from mavcompass.simulation.physics.sensors import CompassModel, CompassSetup
 
 LOCAL, VELOCITY_AND_YAW, VELOCITY_AND_RATE = 1, 0x9C7, 0x5C7
 OFFBOARD = 6.0

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from parameter_vehicle import ardupilot_parameters
 
 from mavcompass.compass_parameters import ardupilot_correction
-from mavcompass.compass_parameters.orientations import rotation_of
 from mavcompass.correction import FieldCorrection
+from mavcompass.frames import rotation_of
 from mavcompass.procedure.dialect import ParameterPlan
 from mavcompass.vehicle.dialects import make_dialect
 

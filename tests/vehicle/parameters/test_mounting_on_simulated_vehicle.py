@@ -14,8 +14,7 @@ from mavcompass.compass_parameters import mounting_values, sensor_to_body
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back, sensor_orientation_matrix
 from mavcompass.simulation.heading_error import heading_errors_rad
-from mavcompass.simulation.physics.compasses import CompassSetup
-from mavcompass.simulation.physics.sensors import CompassModel
+from mavcompass.simulation.physics.sensors import CompassModel, CompassSetup
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.dialects.taking_over import PX4_HOW
 

@@ -9,7 +9,7 @@ import pytest
 from parameter_vehicle import ardupilot_parameters
 
 from mavcompass.errors import MavCompassError
-from mavcompass.installation.data_files import params_path
+from mavcompass.installation.parts import params_path
 from mavcompass.procedure.motion.safety import MOST_RADPS
 from mavcompass.procedure.turning import profiles as vehicle_profiles
 from mavcompass.procedure.turning import strategies_for, vehicle_profile

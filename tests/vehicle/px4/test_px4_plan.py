@@ -11,9 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from parameter_vehicle import px4_parameters
 
-from mavcompass.compass_parameters.orientations import rotation_of
 from mavcompass.correction import FieldCorrection
-from mavcompass.frames import sensor_orientation_matrix
+from mavcompass.frames import rotation_of, sensor_orientation_matrix
 from mavcompass.vehicle.dialects import make_dialect
 
 DIALECT = make_dialect("px4")

@@ -1,25 +1,53 @@
-"""Read a Track CSV: any subset of the columns, empty for missing."""
+"""Read a Track CSV: any subset of the columns, empty for missing.
+
+A file says nothing of how its numbers were made: whole milligauss, milli-g and milliradians are MAVLink's,
+cut toward zero. Whole numbers of which all steps occur are a format's resolution, whatever the sensor's.
+Cutting toward zero makes the step about zero twice as wide as the others.
+"""
 
 from __future__ import annotations
 
 import csv
 import io
+import math
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavcompass.correction import IDENTITY
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
 from mavcompass.logs.common.chunks import MOST_LINE, GrowingArray
 from mavcompass.logs.common.samples import finite_series
-from mavcompass.logs.formats.csv.columns import KNOWN, MOTORS, SCALARS, TIME, VECTORS
-from mavcompass.logs.formats.csv.steps import format_steps
 from mavcompass.track import InForce, MagSeries, Series, Track
+from mavcompass.units import STANDARD_GRAVITY_MPS2
+
+_AXES = ("x", "y", "z")
+MOTORS = tuple(f"motor{n}" for n in range(1, 9))
+# Quantity of the Track -> its columns in the file, in their order.
+VECTORS: dict[str, tuple[str, ...]] = {
+    "mag": tuple(f"mag_{a}_mgauss" for a in _AXES),
+    "acc_mps2": tuple(f"acc_{a}_mps2" for a in _AXES),
+    "gyro_radps": tuple(f"gyro_{a}_radps" for a in _AXES),
+    "reference_q": ("ref_qw", "ref_qx", "ref_qy", "ref_qz"),
+    "attitude_rad": ("roll_rad", "pitch_rad", "yaw_rad"),
+    "position_ned_m": ("pos_n_m", "pos_e_m", "pos_d_m"),
+    "place": ("lat_deg", "lon_deg", "alt_m"),
+}
+SCALARS: dict[str, str] = {
+    "gps_yaw_rad": "gps_yaw_rad",
+    "current_a": "current_a",
+    "throttle": "throttle",
+    "temperature_degc": "temperature_degc",
+}
+TIME = "time_s"
+KNOWN = {TIME, *MOTORS, *SCALARS.values(), *(name for names in VECTORS.values() for name in names)}
+
 
 # More damage than that is no damage: it is a file of another kind, or of another writing of numbers.
 _MOST_BAD_LINES = 0.1
@@ -249,3 +277,65 @@ def _number(field: str, name: str, line: int, path: Path) -> float:
             f"{path}, line {line}: {name} is {field[:40]!r}, which is no number.",
             "Correct it, or leave it empty for missing.",
         ) from None
+
+
+FIELD_STEP_MGAUSS = 1.0
+FORCE_STEP_MPS2 = 1e-3 * STANDARD_GRAVITY_MPS2
+RATE_STEP_RADPS = 1e-3
+_FEWEST_LEVELS = 6
+# Numbers are printed with few decimals.
+_NEAR = 0.02
+_FEWEST_IN_A_STEP = 5
+_WIDER = 1.5
+_SURE = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """Hold the steps of a format, 0 where a sensor's numbers have none of its own; `cut`: toward zero."""
+
+    field_mgauss: float
+    force_mps2: float
+    rate_radps: float
+    cut: bool
+
+
+def format_steps(field: Series, force: Series | None, rate: Series | None) -> Steps:
+    """Look for whole milligauss (N, 3), milli-g (N, 3) and milliradians per second (N, 3)."""
+    found: list[float] = []
+    columns: list[NDArray[np.int64]] = []
+    usual = (FIELD_STEP_MGAUSS, FORCE_STEP_MPS2, RATE_STEP_RADPS)
+    for series, step in zip((field, force, rate), usual, strict=True):
+        whole = None if series is None else whole_steps(series.values, step)
+        found.append(0.0 if whole is None else step)
+        if whole is not None:
+            columns.extend(whole.T)
+    return Steps(found[0], found[1], found[2], cut_toward_zero(columns))
+
+
+def whole_steps(values: FloatArray, step: float) -> NDArray[np.int64] | None:
+    """Return values as whole numbers of a step; None where they are none, or of a coarser step."""
+    counts = values / step
+    whole = np.round(counts)
+    if not np.isfinite(counts).all() or bool((np.abs(counts - whole) > _NEAR).any()):
+        return None
+    numbers = whole.astype(np.int64)
+    levels = np.unique(numbers)
+    if levels.size < _FEWEST_LEVELS or int(np.gcd.reduce(np.diff(levels))) != 1:
+        return None
+    return numbers
+
+
+def cut_toward_zero(columns: Iterable[NDArray[np.int64]]) -> bool:
+    """Tell by how often zero occurs beside its neighbours whether numbers were cut toward zero, not rounded.
+
+    Rounded numbers, about zero, have logarithms of their counts on a parabola: n_0 = n_1 (n_1 / n_2)^(1/3).
+    """
+    seen, expected = 0.0, 0.0
+    for column in columns:
+        zero, one, two = (float(np.count_nonzero(np.abs(column) == k)) for k in range(3))
+        if min(one, two) / 2.0 < _FEWEST_IN_A_STEP:
+            continue
+        seen += zero
+        expected += 0.5 * one * max(one / two, 1.0) ** (1.0 / 3.0)
+    return seen > _WIDER * expected and seen - expected > _SURE * math.sqrt(max(expected, 1.0))

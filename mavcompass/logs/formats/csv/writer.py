@@ -9,7 +9,7 @@ import numpy as np
 
 from mavcompass.files import replacing
 from mavcompass.frames import FloatArray
-from mavcompass.logs.formats.csv.columns import MOTORS, SCALARS, TIME, VECTORS
+from mavcompass.logs.formats.csv.reader import MOTORS, SCALARS, TIME, VECTORS
 from mavcompass.track import Series, Track
 
 

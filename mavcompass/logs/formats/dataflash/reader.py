@@ -15,8 +15,13 @@ from mavcompass.logs.common.boot_clock import BootClock
 from mavcompass.logs.common.chunks import damage
 from mavcompass.logs.common.parameter_steps import Change, Seen, ardupilot_steps, changes, unknown_correction
 from mavcompass.logs.common.samples import spoken, texts_said
-from mavcompass.logs.formats.dataflash.clock import boot_time_s, clock_of, leave_out_impossible_times
-from mavcompass.logs.formats.dataflash.columns import columns, take
+from mavcompass.logs.formats.dataflash.columns import (
+    boot_time_s,
+    clock_of,
+    columns,
+    leave_out_impossible_times,
+    take,
+)
 from mavcompass.logs.formats.dataflash.records import DataFlashContents, Log, Records, read_records
 from mavcompass.logs.formats.dataflash.text import read_text_records
 from mavcompass.track import MagSeries, Track

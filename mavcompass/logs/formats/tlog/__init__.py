@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mavcompass.messages.frame import FRAME_STARTS
+from mavcompass.messages.message import FRAME_STARTS
 from mavcompass.track import Track
 
 NAME = "telemetry log (.tlog)"

@@ -1,4 +1,4 @@
-"""Find the MAVLink frames in a piece of a telemetry log, many at once.
+"""The MAVLink frames of a telemetry log: found many at once in a piece of it, and recorded one by one.
 
 Every byte that could start a frame is a candidate; its checksum decides. So a damaged stretch costs the
 frames that it touches and no other, and no search for a new start is needed. Of candidates that overlap
@@ -14,13 +14,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cache
+from pathlib import Path
+from struct import Struct
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.logs.common.chunks import ByteArray, Chunk, IntArray, not_overlapping, windows
 from mavcompass.messages import dialect
-from mavcompass.messages.frame import (
+from mavcompass.messages.message import (
     ADDRESS_AT_1,
     ADDRESS_AT_2,
     CHECKSUM_BYTES,
@@ -245,3 +248,37 @@ def _among(sorted_places: IntArray, places: IntArray) -> NDArray[np.bool_]:
         return np.zeros(places.size, dtype=bool)
     index = np.minimum(np.searchsorted(sorted_places, places), sorted_places.size - 1)
     return np.asarray(sorted_places[index] == places)
+
+
+_TIME_STAMP = Struct(">Q")
+
+
+class TlogWriter:
+    """Write a telemetry log (.tlog): each frame after its time, eight bytes, microseconds of Unix time.
+
+    Use it as a context manager, or call `close`. What was appended is complete on disk after `flush`.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Create the file; raises OSError where that is not possible."""
+        self._file: BinaryIO = Path(path).open("wb")
+
+    def append(self, time_unix_us: int, frame: bytes) -> None:
+        """Append one whole MAVLink frame, as it was on the wire."""
+        self._file.write(_TIME_STAMP.pack(time_unix_us) + frame)
+
+    def flush(self) -> None:
+        """Hand everything to the operating system."""
+        self._file.flush()
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._file.close()
+
+    def __enter__(self) -> TlogWriter:
+        """Return the writer itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Finish the file."""
+        self.close()
