@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 from campaign import ended, options, rms, tried
-from made_up import CIRCLE, EARTH, SCENARIOS, Scenario, Truth, errors_deg, headings_of, vehicle_of
+from made_up import CIRCLE, EARTH, SCENARIOS, Iron, Scenario, body_field, errors_deg, headings_of, vehicle_of
 
 from mavcompass.calibration.findings import judge
 from mavcompass.calibration.methods.four_positions_textbook import four_positions_textbook
@@ -30,7 +30,7 @@ from mavcompass.calibration.positions import solve_four_positions
 from mavcompass.frames import FloatArray
 
 
-def dwelt(scenario: Scenario, rng: np.random.Generator) -> tuple[Truth, FourPositionData]:
+def dwelt(scenario: Scenario, rng: np.random.Generator) -> tuple[Iron, FourPositionData]:
     """Make one vehicle and what its sensors see at the positions."""
     truth = vehicle_of(scenario, rng)
     k = scenario.positions
@@ -39,7 +39,7 @@ def dwelt(scenario: Scenario, rng: np.random.Generator) -> tuple[Truth, FourPosi
     noise = scenario.noise if scenario.noise >= 0.0 else 10.0 ** rng.uniform(-0.7, 0.3)
     current = rng.uniform(0.0, 1.0, k) * scenario.current
     motor = rng.normal(0.0, 1.0, 3) * scenario.motor
-    mean = truth.raw(psi, roll, pitch) + (current - current.mean())[:, np.newaxis] * motor
+    mean = truth.raw(body_field(psi, roll, pitch, EARTH)) + (current - current.mean())[:, np.newaxis] * motor
     if scenario.disturbance:
         mean[rng.integers(k)] += rng.normal(0.0, 1.0, 3) * scenario.disturbance
     readings = mean[:, np.newaxis, :] + rng.normal(0.0, 1.0, (k, scenario.samples, 3)) * noise
@@ -90,7 +90,7 @@ def _with_steps(
     )
 
 
-def cramer_rao_deg(scenario: Scenario, truth: Truth) -> float:
+def cramer_rao_deg(scenario: Scenario, truth: Iron) -> float:
     """Return the bound of the textbook's five parameters: sqrt(3/8) sigma / (H sqrt n), mean gain 1."""
     gains = np.diag(truth.gain)[:2]
     share = 0.5 * float((1.0 / gains**2).sum())
@@ -98,7 +98,7 @@ def cramer_rao_deg(scenario: Scenario, truth: Truth) -> float:
     return math.degrees(math.sqrt(3.0 / 8.0 * share) * sigma / EARTH.horizontal_mgauss)
 
 
-def textbook_errors_deg(data: FourPositionData, truth: Truth) -> FloatArray | None:
+def textbook_errors_deg(data: FourPositionData, truth: Iron) -> FloatArray | None:
     """Return the errors of the paper's method on the same readings, which assumes 90 degree steps."""
     if len(data.dwells) < 4:
         return None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import itertools
 import math
-import random
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,8 +18,6 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray, euler_to_matrix
 from mavcompass.logs import TlogWriter
 from mavcompass.simulation.autopilot.board import Outgoing
-from mavcompass.simulation.effects import catalogue
-from mavcompass.simulation.physics.profiles import PROFILES
 from mavcompass.simulation.physics.sensors import draw_compasses
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.link import LinkStatistics
@@ -269,29 +266,6 @@ def situations(free: int) -> Iterator[Situation]:
     yield Situation(
         "two autopilots on an id", rover(), "error", "Two autopilots share system id 1", vehicles=2
     )
-
-
-def drawn(vehicles: int, most_effects: int) -> Iterator[Situation]:
-    """Yield vehicles of every kind that turns itself, as they come or with effects of typical size."""
-    kinds = sorted(name for name, kind in PROFILES.items() if kind.takes_targets)
-    for seed in range(vehicles):
-        rng = random.Random(f"drawn {seed} {most_effects}")
-        kind, effects = (
-            rng.choice(kinds),
-            rng.sample(sorted(catalogue()), rng.randint(min(most_effects, 1), most_effects)),
-        )
-        # What changes does so amid the calibration: after it nothing could know.
-        effects = [
-            f"{one}:on_s={rng.uniform(2.0, 15.0):.1f}" if one.endswith("_step") else one for one in effects
-        ]
-        iron = "exact" if rng.random() < 0.25 else "old"
-        yield Situation(
-            f"drawn, up to {most_effects} effects" if most_effects else "drawn, as they come",
-            lambda armed, k=kind, n=seed, i=iron, e=tuple(effects): vehicle(k, n, armed, i, effects=e),
-            any_of := "accepted or right or refused or error",
-            needs=frozenset({OTHERS, PARAMETERS}),
-            blind=(any_of, ""),
-        )
 
 
 def said_of(setting: Mapping[str, float]) -> str:

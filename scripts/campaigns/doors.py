@@ -1,14 +1,13 @@
 """Is a calibration judged alike through every door? Situations by doors, one test body, judged by the truth.
 
     python scripts/campaigns/doors.py [--only WORD]... [--free 20] [--json FILE]
-    python scripts/campaigns/doors.py --drawn 240 [--effects 3]    # instead: do the claimed sigmas cover?
 
 A situation (`door_situations.py`) is a simulated vehicle and what is right of it. Live, the vehicle turns
 itself, or a person turns it. What it said up to the first write is a .tlog: for the command, Python, the
 fleet, and as a .csv for the command again. From two minutes of being turned about a service learns. The
 table has a line for each situation and door: the verdict, the claimed sigma, the true heading error (rms over
-the circle, level), the greatest ratio of the two, the share within 1 and 1.96 sigmas, the first reason or the
-remark that belongs to it, and what the door cannot carry. Contradictions are listed below it:
+the circle, level), the greatest ratio of the two, the first reason or the remark that belongs to it, and what
+the door cannot carry. (Whether claimed sigmas cover is asked by `vehicles.py`.) Contradictions come below it:
 
 - a verdict or a reason that is not the one of this situation, where the door carries the evidence for it,
 - an accepted result, or a compass called right, beyond four of the sigmas that it claims (that the mounting
@@ -34,7 +33,7 @@ from typing import Any
 
 from campaign import Several, ended, options
 from campaign import folder as new_folder
-from door_situations import OTHERS, PARAMETERS, UNSEEN, Situation, Wire, drawn, situations
+from door_situations import OTHERS, PARAMETERS, UNSEEN, Situation, Wire, situations
 
 from mavcompass import messages as mav
 from mavcompass.api import calibrate, read_track
@@ -256,30 +255,22 @@ def recorded(ask: Callable[..., Entry], path: Path, *options: str) -> tuple[Entr
 
 def lines(found: Sequence[Cell]) -> Iterator[str]:
     """Yield the table, a line for each family and door."""
-    titles = f"{'n':>3} {'verdict':12} {'claims deg':>11} {'off':>6} {'sigmas':>6} {'covers %':>8}"
-    yield f"{'situation':36} {'door':27} {titles}  said"
-    for (family, door), group in groups(found):
-        verdicts = ", ".join(dict.fromkeys(c.verdict for c in group))
-        sigmas = [c.sigma_deg for c in group if not math.isnan(c.error_deg)]
-        worst = max((c.error_deg for c in group if not math.isnan(c.error_deg)), default=math.nan)
-        ratios = [c.error_deg / c.sigma_deg for c in group if c.error_deg >= 0.0]
-        covers = " ".join(
-            f"{100.0 * sum(r < most for r in ratios) / len(ratios):.0f}" for most in (1.0, 1.96) if ratios
-        )
-        claims = f"{min(sigmas):.2f} - {max(sigmas):.2f}" if sigmas else ""
-        told = f"cannot carry: {', '.join(group[0].lacks)}. " if group[0].lacks else ""
-        numbers = f"{worst:6.2f} {max(ratios):6.1f} {covers:>8}" if sigmas else f"{'':22}"
-        bad = " <<<" if any(c.wrong for c in group) else ""
-        line = f"{family:36} {door:27} {len(group):3} {verdicts:12} {claims:>11} {numbers}"
-        yield f"{line}  {told}{group[0].shown[:110]}{bad}"
-
-
-def groups(found: Sequence[Cell]) -> Iterator[tuple[tuple[str, str], list[Cell]]]:
-    """Yield cells by family and door, in the order in which they came."""
     table: dict[tuple[str, str], list[Cell]] = {}
     for one in found:
         table.setdefault((one.family, one.door), []).append(one)
-    yield from table.items()
+    titles = f"{'n':>3} {'verdict':12} {'claims deg':>11} {'off':>6} {'sigmas':>6}"
+    yield f"{'situation':36} {'door':27} {titles}  said"
+    for (family, door), group in table.items():
+        claims = [(c.error_deg, c.sigma_deg) for c in group if not math.isnan(c.error_deg)]
+        numbers = f"{'':25}"
+        if claims:
+            errors, sigmas = zip(*claims, strict=True)
+            ratio = max(error / sigma for error, sigma in claims)
+            numbers = f"{min(sigmas):.2f} - {max(sigmas):.2f} {max(errors):6.2f} {ratio:6.1f}"
+        verdicts = ", ".join(dict.fromkeys(c.verdict for c in group))
+        told = f"cannot carry: {', '.join(group[0].lacks)}. " if group[0].lacks else ""
+        told += group[0].shown[:110] + (" <<<" if any(c.wrong for c in group) else "")
+        yield f"{family:36} {door:27} {len(group):3} {verdicts:12} {numbers}  {told}"
 
 
 def contradictions(found: Sequence[Cell]) -> list[str]:
@@ -299,11 +290,10 @@ def main() -> int:
         __doc__,
         only=(Several(), "situations with this in their name"),
         free=(20, "free mountings of each autopilot"),
-        drawn=(0, "so many vehicles drawn by chance"),
-        effects=(0, "up to so many effects of the catalogue on each of them"),
     )
-    every = list(drawn(wanted.drawn, wanted.effects) if wanted.drawn else situations(wanted.free))
-    chosen = [s for s in every if not wanted.only or any(word in s.family for word in wanted.only)]
+    chosen = [
+        s for s in situations(wanted.free) if not wanted.only or any(word in s.family for word in wanted.only)
+    ]
     found = tried(chosen)
     print("\n".join(lines(found)))
     wrong = contradictions(found)

@@ -22,7 +22,7 @@ from campaign import ended, options
 from mavcompass.correction import FieldCorrection
 from mavcompass.fleet.examine import Job, Row, rows_of
 from mavcompass.fleet.population import Distribution, learn
-from mavcompass.gap.trial.vehicles.draw import Vehicle, draw_vehicle
+from mavcompass.gap.trial.vehicles.draw import Vehicle, draw_vehicle, unit
 from mavcompass.gap.trial.vehicles.effects.known import FIELDS, changed_rms, sized
 from mavcompass.gap.trial.vehicles.motion import MOTIONS, move
 from mavcompass.gap.trial.vehicles.record import record
@@ -37,9 +37,9 @@ def fleet(vehicles: int, odd: int, seed: int) -> Iterator[tuple[str, str, Track]
     """Yield each vehicle's name, what is odd about it ("" for most), and a recording of it."""
     root = np.random.default_rng([seed, 150])
     make = {
-        "iron": root.uniform(60.0, 200.0) * _unit(root),
+        "iron": root.uniform(60.0, 200.0) * unit(root),
         "gains": 1.0 + root.uniform(-0.08, 0.08, 3),
-        "motor": root.uniform(0.3, 0.8) * _unit(root),
+        "motor": root.uniform(0.3, 0.8) * unit(root),
         "noise": root.uniform(1.5, 3.0),
     }
     ways = dict(zip(root.choice(vehicles, odd, replace=False).tolist(), ODD * odd, strict=False))
@@ -51,7 +51,7 @@ def fleet(vehicles: int, odd: int, seed: int) -> Iterator[tuple[str, str, Track]
 
 def _vehicle(make: dict[str, np.ndarray], way: str, rng: np.random.Generator) -> Vehicle:
     vehicle = draw_vehicle(rng, KIND, averaged=None, precise=False)
-    iron = make["iron"] + rng.normal(0.0, 15.0, 3) + (way == "iron") * 130.0 * _unit(rng)
+    iron = make["iron"] + rng.normal(0.0, 15.0, 3) + (way == "iron") * 130.0 * unit(rng)
     cross = rng.normal(0.0, 0.01, (3, 3))
     gains = make["gains"] * (1.0 + rng.normal(0.0, 0.02, 3)) * (1.0 - (way == "gain") * np.array([0.2, 0, 0]))
     matrix = np.diag(gains) + 0.5 * (cross + cross.T)
@@ -59,7 +59,7 @@ def _vehicle(make: dict[str, np.ndarray], way: str, rng: np.random.Generator) ->
     noise = make["noise"] * np.exp(rng.normal(0.0, 0.12)) * (4.0 if way == "noise" else 1.0)
     believed = iron * (1.0 + rng.uniform(-0.02, 0.02, 3))
     if way == "old calibration":
-        believed = believed + 70.0 * np.append(_unit(rng)[:2], 0.3)
+        believed = believed + 70.0 * np.append(unit(rng)[:2], 0.3)
     correcting = np.linalg.inv(matrix)
     compass = replace(
         vehicle.compass,
@@ -88,11 +88,6 @@ def _recording(vehicle: Vehicle, way: str, rng: np.random.Generator) -> Track:
         drawn = (sized(step, scene, 25.0, rng) for _ in range(100))
         effects = (next(one for one in drawn if one is not None and changed_rms(scene, (one,)) > 15.0),)
     return record(scene, vehicle.site, effects, 0.0, rng).track
-
-
-def _unit(rng: np.random.Generator) -> np.ndarray:
-    vector = rng.standard_normal(3)
-    return np.asarray(vector / np.linalg.norm(vector))
 
 
 def diagnosed(vehicles: int, odd: int, seed: int) -> Iterator[tuple[str, Row]]:

@@ -58,16 +58,12 @@ def main() -> int:
 
 def ran(command: list[str], longest_s: float) -> tuple[list[str], int]:
     """Run a command; return what it said and its exit code. One that hangs is killed, which counts as 1."""
-    with tempfile.TemporaryFile("w+", errors="replace") as said:
-        try:
-            status = subprocess.run(
-                command, stdout=subprocess.DEVNULL, stderr=said, timeout=longest_s
-            ).returncode
-        except subprocess.TimeoutExpired:
-            status = 1
-            said.write(f"\nkilled: not over after {longest_s:.0f} s; it hangs, or the machine is too busy\n")
-        said.seek(0)
-        return said.read().splitlines(), status
+    try:
+        done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, timeout=longest_s)
+    except subprocess.TimeoutExpired as hung:
+        late = f"killed: not over after {longest_s:.0f} s; it hangs, or the machine is too busy"
+        return [*(hung.stderr or b"").decode(errors="replace").splitlines(), late], 1
+    return done.stderr.decode(errors="replace").splitlines(), done.returncode
 
 
 def fuzz(name: str, seconds: float, seed: int) -> int:

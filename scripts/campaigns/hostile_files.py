@@ -340,22 +340,6 @@ _OF_ANY: tuple[tuple[str, Callable[[bytes], bytes]], ...] = (
 # --- what is no file ---------------------------------------------------------------------------------
 
 
-def _pipe(path: Path) -> None:
-    os.mkfifo(path)
-
-
-def _zeros(path: Path) -> None:
-    path.symlink_to("/dev/zero")
-
-
-def _loop(path: Path) -> None:
-    path.symlink_to(path.name)
-
-
-def _nowhere(path: Path) -> None:
-    path.symlink_to("/nowhere")
-
-
 def _socket(path: Path) -> None:
     with socket.socket(socket.AF_UNIX) as one:
         one.bind(str(path))
@@ -371,9 +355,13 @@ def _sparse(head: bytes) -> Callable[[Path], None]:
 
 
 SPECIAL: dict[str, Callable[[Path], None]] = {
-    "a pipe": _pipe, "zeros without end": _zeros, "a link to itself": _loop, "a link to nowhere": _nowhere,
-    "a socket": _socket, "a folder": Path.mkdir,
-}  # fmt: skip
+    "a pipe": os.mkfifo,
+    "zeros without end": lambda path: path.symlink_to("/dev/zero"),
+    "a link to itself": lambda path: path.symlink_to(path.name),
+    "a link to nowhere": lambda path: path.symlink_to("/nowhere"),
+    "a socket": _socket,
+    "a folder": Path.mkdir,
+}
 
 
 # --- the inputs, and the commands --------------------------------------------------------------------

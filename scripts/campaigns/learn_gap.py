@@ -25,7 +25,7 @@ from campaign import ended, options, share, tried
 from mavcompass.frames import FloatArray
 from mavcompass.gap.answer.evidence import figures, statistics
 from mavcompass.gap.diagnose import examine, withheld_effects
-from mavcompass.gap.tables import KINDS, OUTCOMES, SCHEMA
+from mavcompass.gap.tables import KINDS, OUTCOMES, SCHEMA, Penalty, ProbabilityMap, parsed
 from mavcompass.gap.trial.cases import Label, case_of, draw_case
 from mavcompass.gap.trial.trial import Answer, score
 from mavcompass.installation.parts import params_path
@@ -109,12 +109,9 @@ def main() -> int:
     judged = [line for line in lines if line["maker"] == JUDGES]
     penalties(learnt)
     document = learn(learnt, lines)
-    bins = [
-        *report("out of fold", learnt, out_of_fold(learnt)),
-        *report(
-            f"on {JUDGES!r}, which nothing was learnt from", judged, probabilities(document["map"], judged)
-        ),
-    ]
+    told = probabilities(parsed(document).map, judged)
+    bins = report("out of fold", learnt, out_of_fold(learnt))
+    bins += report(f"on {JUDGES!r}, which nothing was learnt from", judged, told)
     false_alarms(lines, document)
     if wanted.picture:
         wanted.picture.write_text(drawn(bins), encoding="utf-8")
@@ -206,7 +203,7 @@ def told_apart(line: Line) -> bool:
 
 def learn(learnt: Sequence[Line], lines: Sequence[Line]) -> Line:
     """Make the tables. Healthy vehicles of all makers count in the p values, which nothing is fitted to."""
-    found = [line for line in learnt if line["found"] and told_apart(line)]
+    known = fitted([line for line in learnt if line["found"] and told_apart(line)])
     return {
         "schema": SCHEMA,
         "made": {
@@ -217,8 +214,11 @@ def learn(learnt: Sequence[Line], lines: Sequence[Line]) -> Line:
         "penalty": {kind: {"parameter": a, "effect": b} for kind, (a, b) in PENALTY.items()},
         "levels": LEVELS,
         "healthy": healthy(_healthy(lines)),
-        "map": fitted(found),
-    }
+        "map": {
+            "names": list(known.names), "centre": _rounded(known.centre), "size": _rounded(known.size),
+            "weights": [_rounded(row) for row in known.weights],
+        },
+    }  # fmt: skip
 
 
 def _healthy(lines: Sequence[Line]) -> list[Line]:
@@ -240,11 +240,9 @@ def penalties(lines: Sequence[Line]) -> None:
 
 
 def _chosen(line: Line, pair: tuple[float, float]) -> set[str]:
-    a, b = pair
-
     def cost(one: Line) -> float:
         free = (one["sse"] - one["strain"]) / line["overdispersion"] + one["strain"]
-        return float(free + a * one["d"] * math.log(max(line["rows"], 2)) + b * len(one["ids"]))
+        return float(free + Penalty(*pair).of(one["d"], len(one["ids"]), line["rows"]))
 
     return {*min(line["sets"], key=cost)["ids"], *line["beside"]}
 
@@ -271,7 +269,7 @@ def healthy(lines: Sequence[Line]) -> Line:
     }
 
 
-def fitted(lines: Sequence[Line]) -> Line:
+def fitted(lines: Sequence[Line]) -> ProbabilityMap:
     """Fit the logistic map from statistics to outcomes, with a ridge."""
     from scipy.optimize import minimize
 
@@ -290,20 +288,12 @@ def fitted(lines: Sequence[Line]) -> Line:
         return float(-(y * log_p).sum() + 0.5 * (ridge * weights**2).sum()), slope.ravel()
 
     solved = minimize(loss, np.zeros(x.shape[1] * y.shape[1]), jac=True, method="L-BFGS-B")
-    weights = solved.x.reshape(x.shape[1], -1)
-    return {
-        "names": list(MAPPED), "centre": _rounded(centre), "size": _rounded(size),
-        "weights": [_rounded(row) for row in weights],
-    }  # fmt: skip
+    return ProbabilityMap(MAPPED, centre, size, solved.x.reshape(x.shape[1], -1))
 
 
-def probabilities(table: Line, lines: Sequence[Line]) -> FloatArray:
+def probabilities(known: ProbabilityMap, lines: Sequence[Line]) -> FloatArray:
     """Return what a map says of each line, (N, outcomes)."""
-    values = np.array([[line["values"][name] for name in table["names"]] for line in lines])
-    x = (values - np.array(table["centre"])) / np.array(table["size"])
-    scores = np.column_stack([np.ones(len(lines)), x]) @ np.array(table["weights"])
-    raw = np.exp(scores - scores.max(axis=1, keepdims=True))
-    return np.asarray(raw / raw.sum(axis=1, keepdims=True))
+    return np.array([list(known.probabilities(line["values"]).values()) for line in lines])
 
 
 def out_of_fold(lines: Sequence[Line]) -> FloatArray:
@@ -312,9 +302,8 @@ def out_of_fold(lines: Sequence[Line]) -> FloatArray:
     said = np.zeros((len(lines), len(OUTCOMES)))
     for k in range(FOLDS):
         others = [x for x, f in zip(lines, fold, strict=True) if f != k and x["found"] and told_apart(x)]
-        table = fitted(others)
         own = np.flatnonzero(fold == k)
-        said[own] = probabilities(table, [lines[i] for i in own])
+        said[own] = probabilities(fitted(others), [lines[i] for i in own])
     return said
 
 
@@ -341,29 +330,22 @@ def report(title: str, lines: Sequence[Line], said: FloatArray) -> list[tuple[st
 
 
 def false_alarms(lines: Sequence[Line], document: Line) -> None:
-    """Print how many healthy vehicles fail one of the two tests."""
-    table = document["healthy"]
+    """Print how many healthy vehicles fail one of the two tests; each is one of the population itself."""
+    known = parsed(document).healthy
+
+    def alarmed(line: Line) -> bool:
+        score = known.score(line["kind"], line["values"])
+        tests = ((line["gain"], known.gains, "gain"), (score, known.scores, "fit"))
+        return any(
+            np.sum(most >= one - 1e-4) / (1 + known.count) <= LEVELS[name] for one, most, name in tests
+        )
+
     for kind in KINDS:
         own = [line for line in _healthy(lines) if line["kind"] == kind]
-        alarmed = [
-            x for x in own if _p(x["gain"], table["gains"], table) <= LEVELS["gain"] or _left(x, table)
-        ]
-        print(f"healthy, {kind}: {share(len(alarmed), len(own))} alarmed")
-        for one in alarmed:
+        found = [line for line in own if alarmed(line)]
+        print(f"healthy, {kind}: {share(len(found), len(own))} alarmed")
+        for one in found:
             print("   ", one["case"], one["sets"][0]["ids"], f"gain {one['gain']:.0f}")
-
-
-def _left(line: Line, table: Line) -> bool:
-    """Tell whether a healthy vehicle leaves too much."""
-    usual = table["usual"][line["kind"]]
-    values = np.array([line["values"][name] for name in table["names"]])
-    score = float(((values - np.array(usual["centre"])) / np.array(usual["size"])).max())
-    return _p(score, table["scores"], table) <= LEVELS["fit"]
-
-
-def _p(value: float, largest: Sequence[float], table: Line) -> float:
-    """Return the p value of one of the population itself."""
-    return float(np.sum(np.array(largest) >= value - 1e-4)) / (1 + table["count"])
 
 
 def drawn(bins: Sequence[tuple[str, float, float, int]]) -> str:

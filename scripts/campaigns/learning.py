@@ -24,7 +24,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from campaign import ended, options
-from made_up import EARTH, SCENARIOS, Truth, errors_deg, rocking, vehicle_of
+from made_up import EARTH, SCENARIOS, Iron, body_field, errors_deg, rocking, vehicle_of
 
 from mavcompass.calibration.methods.running import WINDOW_S, calibrate
 from mavcompass.calibration.recorded import Recorded
@@ -103,31 +103,31 @@ def magnets(rng: np.random.Generator, time: FloatArray) -> FloatArray:
     return added
 
 
-def scaled_to(truth: Truth, off_deg: float) -> Truth:
+def scaled_to(truth: Iron, off_deg: float) -> Iron:
     """Scale what is wrong with a compass until no correction at all leaves `off_deg`, rms over the circle."""
     low, high = 0.0, 4.0
     for _ in range(40):
         share = 0.5 * (low + high)
-        trial = Truth(share * truth.offset, np.eye(3) + share * (truth.gain - np.eye(3)))
+        trial = Iron(share * truth.offset, np.eye(3) + share * (truth.gain - np.eye(3)))
         size = math.sqrt(float((errors_deg(FieldCorrection(), trial) ** 2).mean()))
         low, high = (share, high) if size < off_deg else (low, share)
     return trial
 
 
-def hour(rng: np.random.Generator, off_deg: float, kind: str) -> tuple[Track, list[tuple[float, Truth]]]:
+def hour(rng: np.random.Generator, off_deg: float, kind: str) -> tuple[Track, list[tuple[float, Iron]]]:
     """Make an hour of one vehicle: its recording, and what is true of its compass from which time on."""
     truth = scaled_to(vehicle_of(BASE, rng), off_deg)
     rate, speed, tilt = way(rng, HOUR_S)
     time = np.arange(rate.size) * STEP_S
     yaw = rng.uniform(0.0, 2.0 * math.pi) + np.cumsum(rate) * STEP_S
     roll, pitch = tilt.T
-    raw = truth.raw(yaw, roll, pitch) + magnets(rng, time)
+    raw = truth.raw(body_field(yaw, roll, pitch, EARTH)) + magnets(rng, time)
     truths, current = [(0.0, truth)], None
     if kind == "moved":
         at, by = rng.uniform(900.0, 2700.0), rng.normal(0.0, 1.0, 3)
         by *= rng.uniform(20.0, 80.0) / np.linalg.norm(by)
         raw[time >= at] += by
-        truths.append((at, Truth(truth.offset + by, truth.gain)))
+        truths.append((at, Iron(truth.offset + by, truth.gain)))
     elif kind == "parked":
         stop = rng.uniform(60.0, HOUR_S - 120.0)
         beside = (time > stop) & (time < stop + rng.uniform(20.0, 90.0))
@@ -213,7 +213,7 @@ def drive(rng: np.random.Generator, off_deg: float, kind: str, tally: Tally) -> 
     tally.never += not offered
 
 
-def rms_deg(correction: FieldCorrection, truth: Truth) -> float:
+def rms_deg(correction: FieldCorrection, truth: Iron) -> float:
     """Return a correction's heading error, rms over the circle, at no load."""
     at_rest = replace(correction, motor_mgauss=(0.0, 0.0, 0.0), motor_source="none")
     return math.sqrt(float((errors_deg(at_rest, truth) ** 2).mean()))

@@ -6,13 +6,16 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from campaign import borrow
 from scipy.signal import lfilter
 
-from mavcompass.calibration.model import level_to_body
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
 from mavcompass.frames import FloatArray, wrap_pi
 from mavcompass.heading.compute import level_heading
+
+borrow("calibration")
+from calibration_worlds import Iron, body_field, heading_errors  # noqa: E402
 
 EARTH = EarthField((200.0 * math.cos(0.2), 200.0 * math.sin(0.2), -430.0))
 GYRO_S, ROCKS_IN_S = 0.02, 0.5
@@ -102,24 +105,7 @@ SCENARIOS = {
 }
 
 
-@dataclass(frozen=True)
-class Truth:
-    """The vehicle of a run: raw = offset + gain field."""
-
-    offset: FloatArray
-    gain: FloatArray
-
-    def raw(
-        self, psi: FloatArray, roll: FloatArray | float = 0.0, pitch: FloatArray | float = 0.0
-    ) -> FloatArray:
-        h, z = EARTH.horizontal_mgauss, EARTH.ned_mgauss[2]
-        level = np.stack([h * np.cos(psi), -h * np.sin(psi), np.full(psi.size, z)], axis=1)
-        roll, pitch = np.broadcast_to(roll, psi.shape), np.broadcast_to(pitch, psi.shape)
-        body = np.einsum("nij,nj->ni", level_to_body(roll, pitch), level)
-        return body @ self.gain.T + self.offset
-
-
-def vehicle_of(scenario: Scenario, rng: np.random.Generator) -> Truth:
+def vehicle_of(scenario: Scenario, rng: np.random.Generator) -> Iron:
     spread = 0.0 if scenario.offset_of_h else scenario.gain
     gain = np.diag(1.0 + rng.normal(0.0, 1.0, 3) * spread)
     gain[2, 2] = 0.5 * (gain[0, 0] + gain[1, 1]) + rng.normal() * 0.03
@@ -132,10 +118,10 @@ def vehicle_of(scenario: Scenario, rng: np.random.Generator) -> Truth:
         angle = rng.uniform(0.0, 2.0 * math.pi)
         size = scenario.offset_of_h * EARTH.horizontal_mgauss
         offset = np.array([size * math.cos(angle), size * math.sin(angle), 20.0 * rng.normal()])
-    return Truth(offset, gain)
+    return Iron(offset, gain)
 
 
-def headings_of(scenario: Scenario, truth: Truth, rng: np.random.Generator) -> FloatArray:
+def headings_of(scenario: Scenario, truth: Iron, rng: np.random.Generator) -> FloatArray:
     k = scenario.positions
     first = rng.uniform(0.0, 2.0 * math.pi)
     nominal = 2.0 * math.pi / k if k != 5 else math.pi / 2.0
@@ -144,15 +130,15 @@ def headings_of(scenario: Scenario, truth: Truth, rng: np.random.Generator) -> F
         return first + np.concatenate([[0.0], np.cumsum(turns)])
     # The autopilot turns until its bent compass has moved by 90 degrees.
     fine = np.linspace(0.0, 2.0 * math.pi, 3601)
-    shown = level_heading(truth.raw(fine))
+    shown = level_heading(truth.raw(body_field(fine, earth=EARTH)))
     wanted = first + nominal * np.arange(k)
     nearest = np.array([fine[np.argmin(np.abs(wrap_pi(shown - w)))] for w in wanted])
     return np.asarray(nearest[0] + np.concatenate([[0.0], np.cumsum(np.mod(np.diff(nearest), 2 * math.pi))]))
 
 
-def errors_deg(correction: FieldCorrection, truth: Truth) -> FloatArray:
+def errors_deg(correction: FieldCorrection, truth: Iron) -> FloatArray:
     """Return the level heading errors on the circle, (72,)."""
-    return np.degrees(wrap_pi(level_heading(correction.apply(truth.raw(CIRCLE))) - CIRCLE))
+    return heading_errors(correction, truth, earth=EARTH)
 
 
 def rocking(count: int, sigma_rad: float, rng: np.random.Generator) -> FloatArray:

@@ -32,15 +32,10 @@ from pathlib import Path
 from types import FunctionType
 
 import pytest
+from campaign import PROJECT, Several, ended, options, share
 from coverage import CoverageData
-
-from mavcompass.chance import wilson
-
-PROJECT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
-from mutation.sites import Site, mutated, sites, swap  # noqa: E402
-from mutation.test_contexts import SECONDS, SOURCES  # noqa: E402
+from mutation.sites import Site, mutated, sites, swap
+from mutation.test_contexts import SECONDS, SOURCES
 
 # These try the project's folder itself, which a copy is not.
 _UNFIT = ("tests/test_launcher", "tests/test_package", "tests/test_project_files")
@@ -49,29 +44,25 @@ _QUIET = ("-q", "-s", "-p", "no:cacheprovider", "-n", "0")
 
 def main() -> int:
     """Draw the mutants, try each, print the table."""
-    options = _parsed()
-    if not options.copied:
+    wanted = options(
+        __doc__,
+        under=(Several(), "a room or file of the package"),
+        mutants=120,
+        seed=1,
+        mutant=(Several(), "FILE#NUMBER, as it is printed"),
+        budget=(60.0, "seconds of tests a mutant"),
+        least=(90.0, "percent"),
+        copied=(Path, "the project whose copy this is; made by this program itself"),
+    )
+    if not wanted.copied:
         return _in_a_copy(sys.argv[1:])
-    campaign = Campaign(Path.cwd(), options)
+    campaign = Campaign(Path.cwd(), wanted)
     rooms = {"/".join(name.split("::")[0].split("/")[:2]) for name in campaign.measured}
     with open(os.devnull) as nothing:
         os.dup2(nothing.fileno(), 0)
     pytest.main([*_QUIET, *sorted(r for r in rooms if not r.startswith(_UNFIT))], plugins=[campaign])
-    return 0 if _table(campaign.caught_by) >= options.least else 1
-
-
-def _parsed() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--under", action="append", help="a room or file of the package")
-    parser.add_argument("--mutants", type=int, default=120)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--mutant", action="append", help="FILE#NUMBER, as it is printed")
-    parser.add_argument("--budget", type=float, default=60.0, help="seconds of tests a mutant")
-    parser.add_argument("--least", type=float, default=90.0, help="percent")
-    parser.add_argument("--copied", type=Path, help=argparse.SUPPRESS)
-    return parser.parse_args()
+    caught_by = {str(site): test for site, test in campaign.caught_by.items()}
+    return ended(wanted.json, caught_by, _table(campaign.caught_by) < wanted.least)
 
 
 def _in_a_copy(arguments: Sequence[str]) -> int:
@@ -290,8 +281,7 @@ def _table(caught_by: dict[Site, str | None]) -> float:
     for room in sorted({room for room, _ in count}):
         print(f"{room:20}{count[room, True]:>6} caught{count[room, False]:>6} survived")
     caught, n = sum(test is not None for test in caught_by.values()), len(caught_by)
-    low, high = (100.0 * share for share in wilson(caught, n))
-    print(f"{caught} of {n} caught = {100.0 * caught / max(n, 1):.1f} % ({low:.1f} .. {high:.1f})")
+    print(f"{share(caught, n)} caught = {100.0 * caught / max(n, 1):.1f} %")
     return 100.0 * caught / max(n, 1)
 
 

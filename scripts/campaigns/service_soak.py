@@ -270,28 +270,24 @@ class Soak:
         if figures.warm_mb:
             figures.growth_percent = 100.0 * (figures.end_mb / figures.warm_mb - 1.0)
         figures.on_full_disk = sum(e.on_full_disk for e in ended)
+        figures.undo_files = sum(entry.undo_file is not None for entry in entries)
         kept = {entry.id for entry in entries}
         lost = [e.number for e in ended if e.entry not in kept and not e.on_full_disk]
-        if lost:
-            figures.faults.append(f"calibrations {lost} are missing in the history")
         undone = [entry.id for entry in entries if entry.ok and not has_undo(entry)]
-        if undone:
-            figures.faults.append(f"what entries {undone} wrote cannot be undone")
-        figures.undo_files = sum(entry.undo_file is not None for entry in entries)
-        if figures.recordings > _MOST_RECORDINGS:
-            figures.faults.append(f"{figures.recordings} recordings were kept")
         unfinished = [e.number for e in ended if not e.finished]
-        if unfinished:
-            figures.faults.append(f"calibrations {unfinished} never ended")
         untold = [e.number for e in ended if not e.reports]
-        if untold:
-            figures.faults.append(f"of calibrations {untold} no report was sent")
-        if figures.written < _LEAST_WRITTEN * (len(ended) - figures.on_full_disk):
-            figures.faults.append(f"{figures.written} of {len(ended)} calibrations were written")
-        if figures.slowest_reconnect_s >= 2.0:
-            figures.faults.append(f"a reconnect took {figures.slowest_reconnect_s:.1f} s")
-        if figures.growth_percent > _MOST_GROWTH_PERCENT:
-            figures.faults.append(f"memory grew by {figures.growth_percent:.1f} %")
+        least = _LEAST_WRITTEN * (len(ended) - figures.on_full_disk)
+        wrong = {
+            f"calibrations {lost} are missing in the history": lost,
+            f"what entries {undone} wrote cannot be undone": undone,
+            f"{figures.recordings} recordings were kept": figures.recordings > _MOST_RECORDINGS,
+            f"calibrations {unfinished} never ended": unfinished,
+            f"of calibrations {untold} no report was sent": untold,
+            f"{figures.written} of {len(ended)} calibrations were written": figures.written < least,
+            f"a reconnect took {figures.slowest_reconnect_s:.1f} s": figures.slowest_reconnect_s >= 2.0,
+            f"memory grew by {figures.growth_percent:.1f} %": figures.growth_percent > _MOST_GROWTH_PERCENT,
+        }
+        figures.faults += [words for words, is_so in wrong.items() if is_so]
 
 
 def fill_disk(room: int | None) -> None:

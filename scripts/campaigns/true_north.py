@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 from campaign import ended, options, rms, share
 from learning import STEP_S, wander, way
-from made_up import rocking
+from made_up import body_field, rocking
 
 from mavcompass.earth_field import EarthField, earth_field
-from mavcompass.frames import FloatArray, level_to_body, wrap_pi
+from mavcompass.frames import FloatArray, wrap_pi
 from mavcompass.heading.evidence import heading_of_track
 from mavcompass.track import MagSeries, Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
@@ -62,9 +62,7 @@ class Tally:
 
 def field_of(world: EarthField, psi: FloatArray, tilt: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Return what a calibrated compass shows at magnetic headings, (N, 3)."""
-    h, z = world.horizontal_mgauss, world.ned_mgauss[2]
-    level = np.stack([h * np.cos(psi), -h * np.sin(psi), np.full(psi.size, z)], axis=1)
-    body = np.einsum("nij,nj->ni", level_to_body(tilt[:, 0], tilt[:, 1]), level)
+    h, body = world.horizontal_mgauss, body_field(psi, tilt[:, 0], tilt[:, 1], world)
     gains = 1.0 + rng.normal(0.0, 0.3 * DEVIATION_RAD, 3)
     return body * gains + rng.normal(0.0, DEVIATION_RAD * h, 3) + rng.normal(0.0, NOISE_MGAUSS, body.shape)
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import click
 import pytest
 
 from mavcompass.cli import source
+from mavcompass.cli.main import main
 from mavcompass.cli.source import open_source
 from mavcompass.errors import UsageError
 from mavcompass.vehicle.link import GROUND_STATION, ONBOARD_COMPUTER
@@ -55,3 +57,9 @@ def test_effects_go_to_simulated_vehicles_only_beside_those_of_the_address() -> 
 def test_who_we_are(station: bool, identity: object) -> None:
     with open_source(parse_address("sim:rover"), (), as_ground_station=station) as link:
         assert link.identity == identity
+
+
+def test_a_blind_trial_is_held_of_the_tier_that_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["gap", "blind-trial", "--cases", "1", "--generator", "vehicles", "--tier"]
+    assert main([*words, "none", "--json", "-"]) == 0
+    assert [case["tier"] for case in json.loads(capsys.readouterr().out)["cases"]] == ["none"]

@@ -26,7 +26,7 @@ from mavcompass.installation.invocation import program
 
 if TYPE_CHECKING:
     from mavcompass.gap.result import Diagnosis
-    from mavcompass.gap.trial import Generator
+    from mavcompass.gap.trial.cases import Generator, Tier
 
 
 @click.group(cls=Commands)
@@ -248,10 +248,16 @@ def export(
     help="Who makes the cases: our simulator with an exact attitude, vehicles of another make in use, or"
     " another simulator in closed form.",
 )
+@click.option(
+    "--tier",
+    type=click.Choice(("none", "single", "pair", "withheld", "outside")),
+    help="Cases of one kind only: nothing wrong, one effect, two, one that may not be named, one of no"
+    " catalogue (of the vehicles alone).",
+)
 @report_option
 @common_options
 def blind_trial(
-    cases: int, seed: int, generator: Generator, report_file: Path | None, output: Output
+    cases: int, seed: int, generator: Generator, tier: Tier | None, report_file: Path | None, output: Output
 ) -> None:
     """Examine the diagnosis on sealed cases: labels are hashed before it runs and opened after.
 
@@ -261,7 +267,7 @@ def blind_trial(
     require_for(report=report_file, also=("A blind trial",))
     from mavcompass.gap.trial import run_trial
 
-    trial = run_trial(cases, seed, generator=generator)
+    trial = run_trial(cases, seed, tier, generator=generator)
     for line in trial.lines():
         output.say(line)
     output.write_json(trial.to_json())

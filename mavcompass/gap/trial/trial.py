@@ -267,7 +267,6 @@ def run_trial(
     cases: int,
     seed: int,
     tier: Tier | None = None,
-    progress: Callable[[int], None] | None = None,
     generator: Generator = "bench",
 ) -> Trial:
     """Publish the hash of all labels, with salt; diagnose each case, drawn anew without its label; score.
@@ -286,8 +285,6 @@ def run_trial(
     for index in range(cases):
         _, track, baseline = draw(seed, index, tier)
         answers.append(_answer(untold(track), untold(baseline)))
-        if progress is not None:
-            progress(index + 1)
     hashed = hashlib.sha256(repr(answers).encode()).hexdigest()
     scored = []
     for index, (label, answer) in enumerate(zip(labels, answers, strict=True)):

@@ -5,10 +5,11 @@ from __future__ import annotations
 import errno
 import random
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from datetime import UTC, datetime, timedelta, tzinfo
+from typing import Any
 from unittest.mock import patch
 
 from fault_cells.scene import Carried, Fault, Scene, Step
@@ -20,14 +21,16 @@ _ELSEWHERE, _ANOTHER = 42, 99
 _GROUND_STATION = (255, 190)
 _ODD = (0.0, -1.0, 1.0, 7.5, 1e30, float("inf"), float("nan"))
 _LATE_S = (0.3, 1.0, 3.0)
+_DAY_S = 86400.0
+Carry = Callable[[Scene, Carried], list[Carried]]
 
 
 # --- to one message ---------------------------------------------------------------------------------
 
 
-def lost(scene: Scene, carried: Carried) -> list[Carried]:
-    """Lose it."""
-    return []
+def otherwise(**changes: Any) -> Carry:
+    """Have a message come with other words on its envelope."""
+    return lambda scene, carried: [replace(carried, **changes)]
 
 
 def late(scene: Scene, carried: Carried) -> list[Carried]:
@@ -49,16 +52,6 @@ def reordered(scene: Scene, carried: Carried) -> list[Carried]:
 def wrong_value(scene: Scene, carried: Carried) -> list[Carried]:
     """Change one field of it."""
     return [replace(carried, message=_changed(carried.message, scene.chance))]
-
-
-def wrong_system(scene: Scene, carried: Carried) -> list[Carried]:
-    """Have it come from another system."""
-    return [replace(carried, system=_ELSEWHERE)]
-
-
-def wrong_component(scene: Scene, carried: Carried) -> list[Carried]:
-    """Have it come from another component."""
-    return [replace(carried, component=_ANOTHER)]
 
 
 def echo(scene: Scene, carried: Carried) -> list[Carried]:
@@ -108,24 +101,19 @@ def _extremes(message: Message, name: str) -> tuple[int, int]:
 # --- at any step ------------------------------------------------------------------------------------
 
 
-def closed(scene: Scene) -> None:
-    """Close the link for good; it is there again when it is opened again."""
-    scene.closed = True
+def sets(**values: Any) -> Callable[[Scene], None]:
+    """Have the scene be another from then on."""
+
+    def happen(scene: Scene) -> None:
+        for name, value in values.items():
+            setattr(scene, name, value)
+
+    return happen
 
 
-def silent_short(scene: Scene) -> None:
-    """Carry nothing for two seconds."""
-    scene.silent_until_s = scene.vehicle.time_s + 2.0
-
-
-def silent_long(scene: Scene) -> None:
-    """Carry nothing for fifteen seconds."""
-    scene.silent_until_s = scene.vehicle.time_s + 15.0
-
-
-def rebooted(scene: Scene) -> None:
-    """Restart the autopilot, which keeps its parameters."""
-    scene.vehicle.reboot()
+def silent(seconds: float) -> Callable[[Scene], None]:
+    """Carry nothing for so long."""
+    return lambda scene: sets(silent_until_s=scene.vehicle.time_s + seconds)(scene)
 
 
 def rebooted_old(scene: Scene) -> None:
@@ -136,36 +124,6 @@ def rebooted_old(scene: Scene) -> None:
             store.set(name, value)
             scene.foreign[name], scene.foreign_s = value, scene.vehicle.time_s
     scene.vehicle.reboot()
-
-
-def killed(scene: Scene) -> None:
-    """Kill the program."""
-    scene.dead = True
-
-
-def disk_full(scene: Scene) -> None:
-    """Fill the disk."""
-    scene.disk_error = errno.ENOSPC
-
-
-def read_only(scene: Scene) -> None:
-    """Make the folder one that cannot be written to."""
-    scene.disk_error = errno.EROFS
-
-
-def suspended(scene: Scene) -> None:
-    """Let the computer sleep for half a minute."""
-    scene.leap_s = 30.0
-
-
-def clock_back(scene: Scene) -> None:
-    """Set the computer's clock back by a day: undo files must keep their order."""
-    scene.clock_off_s = -86400.0
-
-
-def clock_forward(scene: Scene) -> None:
-    """Set the computer's clock forward by thirty years."""
-    scene.clock_off_s = 30 * 365.25 * 86400.0
 
 
 def second_client(scene: Scene) -> None:
@@ -185,33 +143,28 @@ def second_client(scene: Scene) -> None:
         scene.at(scene.vehicle.time_s + 0.4 * (k + 1), write)
 
 
-def low_battery(scene: Scene) -> None:
-    """Let the battery run low."""
-    scene.vehicle.battery_failsafe()
-
-
 FAULTS = (
-    Fault("lost", carry=lost),
+    Fault("lost", carry=lambda scene, carried: []),
     Fault("late", carry=late),
     Fault("twice", carry=twice),
     Fault("reordered", carry=reordered),
     Fault("wrong value", carry=wrong_value),
-    Fault("wrong system", carry=wrong_system),
-    Fault("wrong component", carry=wrong_component),
+    Fault("wrong system", carry=otherwise(system=_ELSEWHERE)),
+    Fault("wrong component", carry=otherwise(component=_ANOTHER)),
     Fault("false echo", carry=echo),
-    Fault("link closed", closed, ends_it=True),
-    Fault("silent 2 s", silent_short),
-    Fault("silent 15 s", silent_long, ends_it=True),
-    Fault("rebooted", rebooted, ends_it=True),
+    Fault("link closed", sets(closed=True), ends_it=True),  # for good; opened again it is there
+    Fault("silent 2 s", silent(2.0)),
+    Fault("silent 15 s", silent(15.0), ends_it=True),
+    Fault("rebooted", lambda scene: scene.vehicle.reboot(), ends_it=True),  # it keeps its parameters
     Fault("rebooted, old", rebooted_old, ends_it=True),
-    Fault("killed", killed, ends_it=True),
-    Fault("disk full", disk_full),
-    Fault("read-only", read_only),
-    Fault("suspended 30 s", suspended),
-    Fault("clock back", clock_back),
-    Fault("clock forward", clock_forward),
+    Fault("killed", sets(dead=True), ends_it=True),
+    Fault("disk full", sets(disk_error=errno.ENOSPC)),
+    Fault("read-only", sets(disk_error=errno.EROFS)),
+    Fault("suspended 30 s", sets(leap_s=30.0)),  # the computer sleeps
+    Fault("clock back", sets(clock_off_s=-_DAY_S)),  # undo files must keep their order
+    Fault("clock forward", sets(clock_off_s=30 * 365.25 * _DAY_S)),
     Fault("second client", second_client),
-    Fault("low battery", low_battery, ends_it=True),
+    Fault("low battery", lambda scene: scene.vehicle.battery_failsafe(), ends_it=True),
 )
 
 
