@@ -332,14 +332,6 @@ def test_the_check_of_circles_sees_one_of_types(tmp_path: Path, monkeypatch: pyt
         assert circles("mill", [""]) == [("mill.stone", "mill.wheel")]
 
 
-def test_the_check_of_folders_sees_a_crowd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    beds = [f"hall/bed_{number}" for number in range(MODULES_IN_A_FOLDER)]
-    with built("inn", beds, tmp_path, monkeypatch) as inn:
-        assert crowded_folders(inn) == []
-        (inn / "hall" / "bed_in_the_corridor.py").touch()
-        assert crowded_folders(inn) == [f"hall: {MODULES_IN_A_FOLDER + 1} modules"]
-
-
 @contextmanager
 def built(
     package: str, modules: Sequence[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -358,15 +350,3 @@ def built(
     finally:
         for module in [name for name in sys.modules if name.split(".")[0] == package]:
             del sys.modules[module]
-
-
-def test_the_check_itself_sees_a_stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    lodge = tmp_path / "lodge"
-    lodge.mkdir()
-    (lodge / "__init__.py").touch()
-    (lodge / "units.py").write_text("import numpy, math, click")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    try:
-        assert strangers_on_the_ground_floor("lodge") == {("lodge.units", "click")}
-    finally:
-        sys.modules.pop("lodge", None)

@@ -15,7 +15,6 @@ from calibration_worlds import FIELD, Iron, heading_errors, iron_of, rms, turnin
 from mavcompass.attitude import down_in_body
 from mavcompass.calibration import Limits, calibrate_compasses, calibrate_track, find_dwells, method_names
 from mavcompass.calibration.model import GAIN, HORIZONTAL, OFFSET, gain_matrix
-from mavcompass.calibration.observation import turn_record
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.cli.main import main
 from mavcompass.correction import FieldCorrection
@@ -180,22 +179,6 @@ def test_a_creeping_vehicle_is_still_enough() -> None:
     )
     result = calibrate_track(track, earth=FIELD)
     assert result.accepted
-    assert rms(heading_errors(result.correction, iron_of(STRONG))) < 0.4
-
-
-def test_a_take_off_divides_a_position(shared_data: Path) -> None:
-    """The copter stands on the ground and then hovers at the same heading, with 28 A through its motors."""
-    track = firmware_track(shared_data, "copter_dist_use2", "BIN")
-    currents = [d.current_a for d in find_dwells(track)]
-    assert all(value < 3.0 or value > 20.0 for value in currents)
-
-
-def test_a_gyro_bias_is_found_while_still() -> None:
-    track = turning_track(iron_of(STRONG), gyro_bias=math.radians(1.5), turns_deg=(90.0,) * 4)
-    record = turn_record(track)
-    assert record is not None
-    assert record.bias_radps == pytest.approx(math.radians(1.5), abs=math.radians(0.15))
-    result = calibrate_track(track, earth=FIELD)
     assert rms(heading_errors(result.correction, iron_of(STRONG))) < 0.4
 
 
