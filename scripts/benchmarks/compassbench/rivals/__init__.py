@@ -61,9 +61,9 @@ class Rival:
 
 RIVALS = {
     "mavcompass": Rival("ours"),
-    "ArduPilot onboard": Rival("ardupilot", program=False),
-    "PX4 onboard": Rival("px4", program=False),
-    "MAGFit (web)": Rival("magfit", program=False),
+    "ArduPilot onboard": Rival("firmware", "ardupilot", program=False),
+    "PX4 onboard": Rival("firmware", "px4", program=False),
+    "MAGFit (web)": Rival("fits", program=False),
     "pymavlink magfit_WMM": Rival("pymavlink_tools", "magfit_WMM.py", every=40),
     "pymavlink magfit": Rival("pymavlink_tools", "magfit.py", every=40),
     "magyc_ls": Rival("magyc_methods", "magyc_ls", own=True, every=8),
@@ -71,12 +71,12 @@ RIVALS = {
     "TWOSTEP (magyc)": Rival("magyc_methods", "twostep_hsi", own=True),
     "Fang's ellipsoid (magyc)": Rival("magyc_methods", "ellipsoid_fit_fang", own=True),
     "sphere_fit (magyc)": Rival("magyc_methods", "sphere_fit", own=True),
-    "ellipsoid, textbook": Rival("ellipsoid", program=False),
+    "ellipsoid, textbook": Rival("fits", "ellipsoid", program=False),
     "mavcompass heading": Rival("ours", "heading", task="heading"),
     "tilt by accelerometer": Rival("orientation", "accelerometer", task="heading", program=False),
     "VQF": Rival("orientation", "vqf", task="heading", own=True),
     "Madgwick (ahrs)": Rival("orientation", "Madgwick", task="heading", own=True),
     "Mahony (ahrs)": Rival("orientation", "Mahony", task="heading", own=True),
     "mavcompass gap": Rival("ours", "gap", task="gap"),
-    "MAGFit's fits compared": Rival("magfit", "gap", task="gap", program=False),
+    "MAGFit's fits compared": Rival("fits", "gap", task="gap", program=False),
 }

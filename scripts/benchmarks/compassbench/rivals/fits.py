@@ -1,9 +1,11 @@
-"""MAGFit (the web tool), rebuilt from what is documented of it.
+"""Fits to all readings: MAGFit (the web tool), rebuilt from what is documented of it, and the textbook's.
 
 Linear least squares of the world model's field, turned by the autopilot's attitude, against the readings: 80
 bins of direction weigh alike; offsets, offsets and scale, offsets and iron, each with the battery's current
 where it was recorded. A fit out of range (offsets 1500 mG, diagonals 0.8 to 1.2, off-diagonals 0.2, scale 0.8
 to 1.2) is greyed out. Taken is the one with the smallest error left, as its bar chart suggests.
+
+The textbook's is the quadric with the least algebraic error, and its symmetric root.
 """
 
 from __future__ import annotations
@@ -32,10 +34,12 @@ NAMES = {0: {"hard_iron"}, 1: {"hard_iron", "axis_scale"}, 6: {"hard_iron", "sof
 
 
 def solve(case: Case, argument: str = "") -> Solution | Named:
-    """Fit all and take the best that is in range; or name the fit that a person would point at.
+    """Fit all and take the best that is in range; or name the one that a person would; or do the textbook's.
 
-    That is the one with the least error and the fewest numbers (BIC), against none at all.
+    A person's is the one with the least error and the fewest numbers (BIC), against none at all.
     """
+    if argument == "ellipsoid":
+        return ellipsoid(case)
     sine, cosine = (columns(case.mag_time, case.time, f(case.attitude)) for f in (np.sin, np.cos))
     expected = matrices(np.arctan2(sine, cosine)).swapaxes(1, 2) @ case.world
     load = None if case.current is None else np.interp(case.mag_time, case.time, case.current)
@@ -90,3 +94,17 @@ def _fit(raw: F, expected: F, weight: F, iron: int, load: F | None) -> tuple[flo
     if np.abs(shape[np.triu_indices(3, 1)]).max() > 0.2 or np.abs(offset).max() > 1500.0:
         return None
     return left, Solution(offset, matrix, np.zeros(3) if load is None else p[-3:])
+
+
+def ellipsoid(case: Case) -> Solution:
+    """Fit x'Ax + 2b'x = 1 and take the symmetric root of A; the world model tells the length."""
+    scale = float(np.linalg.norm(case.world))
+    x, y, z = (case.mag / scale).T
+    design = np.stack([x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, 2 * x, 2 * y, 2 * z], axis=1)
+    a, b, c, ab, ac, bc, *linear = np.linalg.lstsq(design, np.ones(x.size), rcond=None)[0]
+    quadric = np.array([[a, ab, ac], [ab, b, bc], [ac, bc, c]])
+    centre = -np.linalg.solve(quadric, linear)
+    values, axes = np.linalg.eigh(quadric / (1.0 + centre @ quadric @ centre))
+    if values.min() <= 0.0:
+        raise Refusal("the quadric is no ellipsoid")
+    return Solution(-centre * scale, axes @ np.diag(np.sqrt(values)) @ axes.T)
