@@ -112,7 +112,9 @@ def site(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_source_archive_gives_the_same_wheel_as_the_checkout(wheel: Path, tmp_path: Path) -> None:
     [ours] = WheelBuilder(str(PROJECT)).build(directory=str(tmp_path), versions=["standard"])
     with zipfile.ZipFile(ours) as one, zipfile.ZipFile(wheel) as other:
-        assert set(one.namelist()) == set(other.namelist())
+        names = set(one.namelist())
+        assert names == set(other.namelist()) and "mavcompass/py.typed" in names
+    assert {name.split("/")[0].split("-")[0] for name in names} == {"mavcompass"}
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""A part that is not installed is named before anything is read, moved or written."""
+"""A part that is not installed is named before anything is read, moved or written; so is a missing file."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from pathlib import Path
 import pytest
 
 from mavcompass.cli.main import main
-from mavcompass.errors import UsageError
-from mavcompass.installation.parts import PARTS, require
+from mavcompass.errors import MavCompassError, UsageError
+from mavcompass.installation.parts import PARTS, params_path, require
+
+PROJECT = Path(__file__).resolve().parents[2]
 
 ULG = "flight.ulg"
 
@@ -105,3 +107,16 @@ def test_a_report_without_a_folder_is_told_before_anything_begins(
     assert main(line.split()) == 2
     assert "does not exist" in capsys.readouterr().err
     assert begun == []
+
+
+# --- the files of params/ -------------------------------------------------------------------------------
+
+
+def test_a_checkout_reads_its_own_params() -> None:
+    assert params_path("README.md") == PROJECT / "params" / "README.md"
+    assert params_path() == PROJECT / "params"
+
+
+def test_a_missing_file_says_what_to_do() -> None:
+    with pytest.raises(MavCompassError, match=r"no-such-file\.toml is missing .* Install mavcompass again"):
+        params_path("no-such-file.toml")

@@ -12,9 +12,7 @@ from calibration_worlds import FIELD, Iron, four_positions
 
 from mavcompass.calibration.methods.four_positions import calibrate_positions
 from mavcompass.calibration.observation import FourPositionData
-from mavcompass.calibration.positions import PositionProblem, next_pose, solve_four_positions
-from mavcompass.calibration.positions.problem import fit_positions, weigh_disturbances
-from mavcompass.calibration.rigid import DEFAULT_PRIOR
+from mavcompass.calibration.positions import next_pose, solve_four_positions
 from mavcompass.correction import FieldCorrection
 
 AsStored = Callable[[Any], None]
@@ -65,26 +63,6 @@ MADE = {
 @pytest.fixture(params=MADE)
 def data(request: pytest.FixtureRequest) -> FourPositionData:
     return MADE[request.param]
-
-
-@pytest.mark.parametrize("world", [True, False])
-def test_a_fit(data: FourPositionData, world: bool, as_stored: AsStored) -> None:
-    problem = PositionProblem.of(data, IN_FORCE, FIELD if world else None, DEFAULT_PRIOR)
-    fit = fit_positions(problem)
-    blend = weigh_disturbances(problem, fit)
-    as_stored(
-        {
-            "start": problem.start,
-            "whiten": problem.whiten[::2],
-            "state": fit.state,
-            "weights": fit.sound,
-            "one": [2.0 * fit.cost, fit.chi_square, fit.freedom, blend.best.chi_square, blend.best.freedom],
-            "sigma": np.sqrt(np.diag(fit.covariance)),
-            "disturbed": blend.probability,
-            "size": blend.size_mgauss,
-            "blend": blend.state[:9],
-        }
-    )
 
 
 @pytest.mark.parametrize("world", [True, False])

@@ -245,23 +245,6 @@ def test_a_log_without_magnetometer_says_so(tmp_path: Path) -> None:
         read_track(log.write(tmp_path / "a.ulg"))
 
 
-def test_a_damaged_log_is_refused_or_read_but_never_breaks(tmp_path: Path) -> None:
-    content = modern(tmp_path / "good.ulg").read_bytes()
-    path = tmp_path / "a.ulg"
-    rng = np.random.default_rng(5)
-    outcomes = set()
-    for _ in range(150):
-        damaged = bytearray(content)
-        for place in rng.integers(8, len(content), 3):
-            damaged[place] ^= 1 << rng.integers(8)
-        path.write_bytes(damaged[: rng.integers(8, len(content))])
-        try:
-            outcomes.add(type(read_track(path)).__name__)
-        except BadRecording:
-            outcomes.add("BadRecording")
-    assert outcomes == {"Track", "BadRecording"}
-
-
 def message(kind: bytes, body: bytes) -> bytes:
     return struct.pack("<H", len(body)) + kind + body
 

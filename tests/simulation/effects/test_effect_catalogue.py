@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 
 import numpy as np
@@ -9,12 +10,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mavcompass import messages as m
 from mavcompass.errors import UsageError
-from mavcompass.frames import euler_to_matrix, rotate_back
+from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
 from mavcompass.simulation import effects
+from mavcompass.simulation.effects import Setting, catalogue, parse, spell
 from mavcompass.simulation.effects.causes.world import _dipoles, _polished, dipole_field
+from mavcompass.simulation.effects.effect import ON_IRON, Distortion, Signals
 from mavcompass.simulation.effects.sampling import spread
-from mavcompass.simulation.physics.signals import Reading, Stimulus
+from mavcompass.simulation.heading_error import heading_error_rms_deg
+from mavcompass.simulation.physics.signals import Reading, Stimulus, ideal
+from mavcompass.simulation.vehicle import SimulatedAutopilot
 
 CONTRACT_IDS = """hard_iron hard_iron_step soft_iron axis_scale non_orthogonality misalignment orientation
 motor_current per_motor ac_interference relay_field temperature_bias temperature_sensitivity
@@ -154,3 +160,110 @@ def test_climbing_takes_away_nearly_all_that_the_magnet_itself_would(seed: int) 
     found = _polished(path, field, peak + rng.normal(0.0, 0.5, (3, 3)), 2.0)
     (best,), _ = _dipoles(path, field, source[None])
     assert _dipoles(path, field, found)[0].max() > 0.97 * best
+
+
+# --- Errors of the sensor itself: on the vehicle's iron too, or on the field alone
+
+
+_FIELD = np.array([[220.0, -40.0, 410.0], [-180.0, 90.0, 380.0]])
+_IRON = np.array([60.0, -25.0, 140.0])
+_OF_THE_SENSOR = sorted(effect.id for effect in catalogue().values() if ON_IRON in effect.names)
+
+
+def _run(field: FloatArray, *texts: str) -> FloatArray:
+    n = len(field)
+    turned, warm = np.tile(np.eye(3), (n, 1, 1)), np.full(n, 45.0)
+    stimulus = Stimulus.posed(np.arange(n, dtype=np.float64), turned, field, temperature_degc=warm)
+    settings = [parse(text) for text in texts]
+    return Distortion(settings).run(Signals(stimulus, ideal(stimulus)), None).reading.mag_mgauss
+
+
+def test_gains_axes_and_turns_are_of_the_sensor() -> None:
+    assert _OF_THE_SENSOR == [
+        "axis_scale", "cross_axis", "misalignment", "non_orthogonality", "temperature_sensitivity",
+    ]  # fmt: skip
+
+
+def test_gain_of_all_that_the_sensor_feels_scales_the_iron_too() -> None:
+    iron = "hard_iron:x=60,y=-25,z=140"
+    gain = 1.0 + np.array([0.1, -0.05, 0.02])
+    scale = "axis_scale:x=0.1,y=-0.05,z=0.02"
+    assert _run(_FIELD, iron, f"{scale},on_iron=1") == pytest.approx((_FIELD + _IRON) * gain)
+    assert _run(_FIELD, iron, f"{scale},on_iron=0") == pytest.approx(_FIELD * gain + _IRON)
+    assert _run(_FIELD, iron, scale) == pytest.approx(_FIELD * gain + _IRON)
+
+
+@pytest.mark.parametrize("effect_id", _OF_THE_SENSOR)
+def test_it_acts_on_the_iron_as_on_a_field(effect_id: str) -> None:
+    effect = catalogue()[effect_id]
+    on = effect.names.index(ON_IRON)
+    theta = np.array([*effect.default[:on], 1.0])
+    text = spell(Setting(effect, theta))
+    assert parse(text).theta == pytest.approx(theta)
+    assert _run(_FIELD, "hard_iron:x=60,y=-25,z=140", text) == pytest.approx(_run(_FIELD + _IRON, text))
+    theta[on] = 0.0
+    before = spell(Setting(effect, theta))
+    assert _run(_FIELD, "hard_iron:x=60,y=-25,z=140", before) == pytest.approx(_run(_FIELD, before) + _IRON)
+
+
+# --- Further physical effects on a live simulated vehicle
+
+
+def stream(vehicle="rover", seconds=4.0, cuts=1, **options):
+    v = SimulatedAutopilot(vehicle, seed=3, **options)
+    for number in (27, 116):
+        v.receive(m.CommandLong(1, 1, 511, 0, float(number), 25_000.0), 255, 190)
+    v.receive(m.SetPositionTargetLocalNed(0, 1, 1, 1, 0x5FF, yaw_rate=0.5), 255, 190)
+    out = [o for t in np.linspace(seconds / cuts, seconds, cuts) for o in v.advance(float(t))]
+    return v, [o.message for o in out if type(o.message) in (m.RawImu, m.ScaledImu2)]
+
+
+def column(messages, kind, *names):
+    return np.array([[getattr(i, n) for n in names] for i in messages if type(i) is kind], dtype=float)
+
+
+def test_an_effect_is_all_that_is_wrong_with_the_first_compass():
+    plain, _ = stream(calibration="exact")
+    bent, _ = stream(effects=["hard_iron:x=100,y=-50"])
+    assert heading_error_rms_deg(plain) < 1e-4
+    assert heading_error_rms_deg(bent) > 15.0
+    assert heading_error_rms_deg(bent, instance=2) < 1e-4
+
+
+def test_a_gyro_bias_shows_in_the_gyro():
+    _, plain = stream(calibration="exact", armed=False)
+    _, biased = stream(effects=["gyro_bias:z=0.02"], armed=False)
+    shift = column(biased, m.RawImu, "zgyro").mean() - column(plain, m.RawImu, "zgyro").mean()
+    assert shift == pytest.approx(20.0, abs=1.5)  # what the truncation of small numbers leaves
+
+
+def test_motor_current_bends_a_hovering_copters_field():
+    calm, pulled = (
+        SimulatedAutopilot("copter", seed=1, calibration="exact", effects=e)
+        for e in ((), ("motor_current:x=2",))
+    )
+    assert heading_error_rms_deg(calm) < 1e-4
+    expected = math.degrees(2.0 * 28.0 / calm.world.horizontal_mgauss / math.sqrt(2.0))
+    assert heading_error_rms_deg(pulled) == pytest.approx(expected, rel=0.25)
+
+
+@pytest.mark.parametrize(
+    "effects", [["hard_iron", "transport_lag", "noise_excess"], ["soft_iron", "gyro_bias"]]
+)
+def test_effects_are_reproducible_however_time_is_cut(effects):
+    _, whole = stream(effects=effects)
+    _, cut = stream(effects=effects, cuts=173)
+    assert whole == cut
+
+
+def test_judging_leaves_the_vehicle_as_it_is():
+    effects = ["hard_iron", "transport_lag", "noise_excess"]
+    v, _ = stream(effects=effects)
+    heading_error_rms_deg(v)
+    w, _ = stream(effects=effects)
+    assert v.advance(6.0) == w.advance(6.0)
+
+
+def test_a_lag_does_not_count_as_a_heading_error_at_rest():
+    v, _ = stream(effects=["transport_lag:lag_s=0.2"])
+    assert heading_error_rms_deg(v) < 0.01
