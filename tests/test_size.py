@@ -17,9 +17,9 @@ LINES = {
     "package procedure": (6_417, 4_400),
     "package service": (5_278, 4_100),
     "package logs": (4_475, 3_600),
-    "package cli": (4_018, 2_900),
-    "package": (65_695, 46_500),
-    "tests": (41_745, 29_000),
+    "package cli": (4_008, 2_900),
+    "package": (65_685, 46_500),
+    "tests": (41_699, 29_000),
     "scripts benchmarks/compassbench": (1_555, 1_000),
     "scripts": (9_763, 4_400),
 }

@@ -196,8 +196,7 @@ def calibrate_one(
     before_deg = _true_error_deg(link, settings.instances)
     told_later = _told_later(output)
     person = getattr(link, "person", None)  # of an embedded simulator: follows what is shown
-    from mavcompass.cli.terminal.show import showing
-    from mavcompass.cli.terminal.speech import speaking
+    from mavcompass.cli.terminal.show import showing, speaking
 
     with showing(told_later=told_later) as shown, speaking(shown, speak) as spoken:
 
