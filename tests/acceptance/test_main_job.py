@@ -71,13 +71,7 @@ def test_nothing_is_written_on_a_dry_run() -> None:
         assert dict(link.autopilot.firmware.store.storage) == before
 
 
-def test_the_command_prints_the_error_before_and_after(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["calibrate", "sim:rover", "--yes"]) == 0
-    said = capsys.readouterr().out
-    assert "Heading error against the simulator's truth" in said
-    assert "To undo: mavcompass params restore sim:rover" in said
-
-
+# What it says, with the error before and after and the way back: tests/test_docs.py, as in the picture.
 def test_the_json_is_the_whole_of_standard_output(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["calibrate", "sim:rover,seed=2", "--yes", "--json", "-"]) == 0
     document = json.loads(capsys.readouterr().out)

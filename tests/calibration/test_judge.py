@@ -138,7 +138,7 @@ def test_one_alone_is_accepted_and_what_nothing_could_contradict_is_said() -> No
     assert seen.mounting.seen and not any("COMPASS_ORIENT" in warning for warning in seen.warnings)
 
 
-@pytest.mark.parametrize("off_deg", [1.5, 2.0, 4.0])
+@pytest.mark.parametrize("off_deg", [1.5, 4.0])
 def test_what_the_others_doubt_is_claimed(off_deg: float) -> None:
     """Off by ten of its sigmas from two that agree, it is off by that; from one, as likely as not."""
     turned = euler_to_matrix(0.0, 0.0, math.radians(off_deg))
