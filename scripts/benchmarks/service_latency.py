@@ -121,11 +121,6 @@ def summary(delays_us: list[float], cpu_s: float, wall_s: float) -> dict[str, fl
     }
 
 
-def cpu_s() -> float:
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    return usage.ru_utime + usage.ru_stime
-
-
 def bare(port: int, seconds: float) -> None:
     """Receive with pymavlink and do nothing with it."""
     from pymavlink import mavutil
@@ -135,11 +130,11 @@ def bare(port: int, seconds: float) -> None:
     while time.monotonic() < end:
         connection.recv_match(type="RAW_IMU", blocking=True)
     delays: list[float] = []
-    began, used = time.monotonic(), cpu_s()
+    began, used = time.monotonic(), time.process_time()
     while time.monotonic() < began + seconds:
         message = connection.recv_match(type="RAW_IMU", blocking=True)
         delays.append(time.monotonic_ns() / 1000 - message.time_usec)
-    print(json.dumps(summary(delays, cpu_s() - used, time.monotonic() - began)))
+    print(json.dumps(summary(delays, time.process_time() - used, time.monotonic() - began)))
 
 
 def service(port: int, seconds: float) -> None:
@@ -181,10 +176,10 @@ def service(port: int, seconds: float) -> None:
             with connect(served.url.replace("http", "ws") + "api/stream?rate_hz=10") as page:
                 page.recv()
                 delays.clear()
-                began, used = time.monotonic(), cpu_s()
+                began, used = time.monotonic(), time.process_time()
                 while time.monotonic() < began + seconds:
                     page.recv()
-                figures = summary(list(delays), cpu_s() - used, time.monotonic() - began)
+                figures = summary(list(delays), time.process_time() - used, time.monotonic() - began)
             print(json.dumps(figures), flush=True)
             served.stop()
 
