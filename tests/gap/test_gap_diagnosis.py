@@ -40,7 +40,8 @@ def test_nothing_wrong_is_called_no_gap(baseline: Track) -> None:
     track = make_track(RICH)
     hiding = replace(track, compasses={1: replace(track.compasses[1], less_learnt=True)})
     diagnosis = diagnose_gap(hiding, baseline)
-    assert "estimator" in dict(diagnosis.not_testable)["hard_iron"]
+    untold = dict(diagnosis.not_testable)
+    assert "estimator" in untold["hard_iron"] and "pile up" in untold["clipping"]
     assert diagnosis.verdict == "no_gap" and not diagnosis.causes and not diagnosis.unknown
     assert diagnosis.field.nominal == pytest.approx(3.0, rel=0.15)
 
@@ -223,6 +224,15 @@ def test_accelerometer_that_feels_unknown_motion_still_tells_tilt_from_dip(basel
     assert diagnosis.effects == {"platform_tilt"}
     reasons = dict(diagnosis.not_testable)
     assert "accel_bias" in reasons and "motion" in reasons["accel_bias"]
+
+
+@pytest.mark.parametrize("seed", [5, 7])
+def test_iron_that_a_small_turn_shows_in_part_is_blamed_on_nothing_else(seed: int) -> None:
+    recipe = Recipe("yaw-steps", duration_s=60.0, rate_hz=10.0, seed=seed)
+    track = make_track(recipe, [effects.parse("hard_iron:x=120,y=-60,z=10")]).between(0.0, 8.0)
+    diagnosis = diagnose_gap(track)
+    assert diagnosis.effects == {"hard_iron"} and "hard_iron" not in dict(diagnosis.not_testable)
+    assert diagnosis.causes[0].parameters["x"] == pytest.approx(120.0, abs=5.0)
 
 
 def test_unknown_motion_is_no_fault(baseline: Track) -> None:

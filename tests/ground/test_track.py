@@ -23,7 +23,7 @@ from mavcompass.messages import (
     SysStatus,
     SystemTime,
 )
-from mavcompass.track import InForce, MagSeries, Series, Track, saturated
+from mavcompass.track import InForce, MagSeries, Series, Track, may_saturate, saturated
 from mavcompass.track_builder import TrackBuilder, with_sound_times
 
 
@@ -169,6 +169,10 @@ def test_what_a_sensor_cuts_off_piles_up_and_a_turns_own_end_does_not(noise: flo
     for end in (200.0, 260.0):
         cut = np.minimum(whole, [end, 1e3, 1e3])
         assert (saturated(cut, step) == (cut[:, 0] == end)).all()
+    # A limit is one for all axes: what rests may be at it, if nothing is larger.
+    aside = whole + np.array([300.0, 0.0, 0.0])
+    assert not may_saturate(aside, step) and may_saturate(np.clip(aside, -530.0, 530.0), step)
+    assert may_saturate(np.clip(whole, -300.0, 300.0), step)
 
 
 def test_a_written_correction_moves_the_steps_of_readings_and_no_end_of_the_range() -> None:
@@ -182,6 +186,18 @@ def test_a_written_correction_moves_the_steps_of_readings_and_no_end_of_the_rang
     steps = (InForce(-np.inf, old), InForce(240.0, new))
     compass = MagSeries(1, Series.of(np.arange(300.0), told), steps, quantum_mgauss=1.0, truncated=True)
     assert not Track(compasses={1: compass}).saturated(1).any()
+
+
+def test_a_limit_is_seen_through_the_rounding_of_what_it_was_corrected_by() -> None:
+    rng = np.random.default_rng(4)
+    by = FieldCorrection((80.0, -40.0, 20.0), (1.1, 0.95, 1.0), (0.05, -0.03, 0.04))
+    yaw = np.linspace(0.0, 9.0, 800)
+    field = np.stack([380.0 * np.cos(yaw), -380.0 * np.sin(yaw), 0.0 * yaw + 260.0], axis=1)
+    field += rng.normal(0.0, 2.0, field.shape)
+    for limit, seen in ((340.0, True), (1e4, False)):
+        told = np.round(by.apply(np.clip(field, -limit, limit)))
+        compass = MagSeries(1, Series.of(yaw, told), (InForce(-np.inf, by),), quantum_mgauss=1.0)
+        assert Track(compasses={1: compass}).may_saturate(1) is seen
 
 
 # --- A track's clock is one that its samples bear out, whatever time stamps say

@@ -30,7 +30,6 @@ class Problem:
     def __init__(self, replay: Replay, noise: Noise, rows: Mask, prior: Prior) -> None:
         """Fit `rows` (N,)."""
         self.replay = replay
-        self.noise = noise
         self.rows = rows
         self.prior = prior
         self.groups = replay.groups
@@ -44,6 +43,12 @@ class Problem:
         gap = step > 3.0 * float(np.median(step[1:]))
         for lag in range(most):
             usable[lag:] &= ~gap[: gap.size - lag]
+        # What errs together has ended in so long a silence: the next reading tells its level anew.
+        valid = np.flatnonzero(replay.valid)
+        after = np.searchsorted(valid, np.flatnonzero(step > usual.noise.lasting_s))
+        begins = np.unique(valid[after[after < valid.size]])
+        usable[begins] = True
+        self.noise = {g: replace(one, begins=begins) for g, one in noise.items()}
         self.usable = usable
         self.index = np.flatnonzero(rows & usable)
         self._measured = {g: np.nan_to_num(group_values(replay.measured, g)) for g in self.groups}

@@ -34,6 +34,7 @@ class SensorNoise:
         row_scale: how much larger the innovation of each row is, (N, 3); None for even noise.
         channels: from the sensor's axes to the channels, (N, 3, 3); None where the axes are the channels. An
             attitude's error turns the field: it has no part along it.
+        begins: rows that nothing before tells of, in ascending order: a silence ended there.
     """
 
     coefficients: FloatArray
@@ -43,6 +44,7 @@ class SensorNoise:
     row_scale: FloatArray | None = None
     moving: FloatArray = field(default_factory=lambda: np.zeros(3))
     channels: FloatArray | None = None
+    begins: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def in_channels(self, error: FloatArray) -> FloatArray:
         """Turn errors of the sensor's axes (N, 3) into those of the channels."""
@@ -70,6 +72,11 @@ class SensorNoise:
 
         Columns (N, 1, K) belong to every channel.
         """
+        out = np.concatenate([self._in_a_piece(piece) for piece in np.split(columns, self.begins)])
+        out[self.begins] = columns[self.begins] * (self.sigma / self.rms)[:, None]
+        return out
+
+    def _in_a_piece(self, columns: FloatArray) -> FloatArray:
         n, _, k = columns.shape
         flat = np.broadcast_to(columns, (n, 3, k)).reshape(n, -1)
         out = flat.copy()

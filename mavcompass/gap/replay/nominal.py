@@ -196,6 +196,8 @@ def replay(
     independent = reference.kind == "columns"
     about = goes_about(position, reference)
     present = present_in(stimulus, reference, about, reference.known & usable)
+    if track.may_saturate(instance):
+        present |= {"limit"}
     if not present & {"turning", "tilt"}:
         # A constant offset in body axes is then a constant field: its size can be anything.
         sigma = np.maximum(sigma, usual.place.unknown_mgauss)
@@ -331,23 +333,24 @@ _NEED_WORDS = {
     "temperature": "no varying temperature was recorded",
     "position": "no precise position was recorded, or the vehicle did not move",
     "height": "no height was recorded, or the vehicle kept it",
+    "limit": "the largest readings do not pile up, as they do at a sensor's limit",
     "reference": "the attitude reference was made from the vehicle's own sensors",
     "throttle|current|motors": "neither throttle nor current nor motor outputs were recorded",
 }
 
 
 def half_testable(replayed: Replay, effects: Iterable[Effect]) -> frozenset[str]:
-    """List the effects that only lack tilt: level turns show a part of them, never enough to be sure.
+    """List the effects that only lack motion: what there is shows a part of them, never enough to be sure.
 
-    They compete in the search; a winner among them is called ambiguous.
+    They compete in the search, lest another be blamed for that part; a winner among them is called ambiguous.
     """
-    if "tilt" in replayed.present:
-        return frozenset()
-    within = replayed.present | {"tilt"}
+    within = replayed.present | {"tilt", "turning"}
     return frozenset(
         e.id
         for e in effects
-        if "tilt" in e.needs and not e.lacking(within) and all(g in replayed.groups for g in e.groups)
+        if e.lacking(replayed.present)
+        and not e.lacking(within)
+        and all(g in replayed.groups for g in e.groups)
     )
 
 

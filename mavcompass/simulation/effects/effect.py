@@ -143,7 +143,8 @@ class Effect:
         kind: "mean" shifts the readings; "discrete" has integer parameters; "random" changes their
             scatter; "integrity" leaves an exact trace (repeats, steps).
         needs: what a recording must contain: current, throttle, temperature, position, height, motors, tilt,
-            turning, reference (an attitude that the vehicle's own sensors did not make).
+            turning, limit (readings that pile up), reference (an attitude that the vehicle's own sensors did
+            not make).
         aliases: effects that can look the same; separated_by: the motion that tells them apart.
         source: where the model or its size comes from.
         starts: first guesses for a fit, where zero is no good one.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -140,6 +142,20 @@ def test_channels_of_mixed_kinds_are_whitened_alike(first: int) -> None:
     many = noise.whiten_many(errors)
     for k in range(2):
         np.testing.assert_allclose(many[first:, :, k], noise.whiten(errors[:, :, k])[first:], atol=1e-12)
+
+
+@pytest.mark.parametrize(("moving", "lags"), [((0.0, 0.0, 0.0), 1), ((0.3, 0.6, 0.8), 1)])
+def test_after_a_silence_a_reading_tells_its_level_anew(
+    moving: tuple[float, float, float], lags: int
+) -> None:
+    noise = noise_of(moving, lags, False)
+    errors = np.random.default_rng(11).standard_normal((60, 3, 2))
+    begins = replace(noise, begins=np.array([25, 40])).whiten_many(errors)
+    for at, piece in zip((0, 25, 40), np.split(errors, [25, 40]), strict=True):
+        alone = noise.whiten_many(piece)
+        np.testing.assert_allclose(begins[at + 1 : at + len(piece)], alone[1:], atol=1e-12)
+        if at:
+            np.testing.assert_allclose(begins[at], errors[at] / noise.rms[:, None])
 
 
 def test_each_channel_gets_its_own_noise() -> None:

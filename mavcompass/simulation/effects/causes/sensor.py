@@ -107,6 +107,7 @@ EFFECTS = (
         stage=Stage.SENSOR,
         parameters=(Parameter("limit_mgauss", "mG", 1.0, 20000.0, 400.0, 5.0),),
         forward=on_mag(lambda field, theta: np.clip(field, -theta[0], theta[0])),
+        needs=frozenset({"limit"}),
         aliases=("axis_scale", "hard_iron"),
         separated_by="turn through more attitudes: plateaus show",
         source="raw = clip(field, -L, L)",
