@@ -13,7 +13,7 @@ from mavcompass import api
 from mavcompass.calibration import Limits, calibrate_compasses
 from mavcompass.calibration.result import CalibrationResult, summary
 from mavcompass.cli.options import Output
-from mavcompass.cli.terminal.lines import styled
+from mavcompass.cli.terminal.lines import showing_progress, styled
 from mavcompass.errors import BadRecording, MavCompassError, PoorCalibration
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.script import Machine, Show
@@ -103,14 +103,16 @@ def solve_recording(wanted: Results, settings: CalibrateSettings, in_force_file:
     chosen = settings.instances or tuple(track.compasses)
     limits = Limits(heading_deg=settings.max_heading_error_deg)
     try:
-        found = calibrate_compasses(
-            track,
-            settings.method,
-            chosen,
-            limits=limits,
-            turn=settings.orientation,
-            true_heading=settings.true_heading,
-        )
+        with showing_progress(Path(source).name) as progress:
+            progress("calibrating")
+            found = calibrate_compasses(
+                track,
+                settings.method,
+                chosen,
+                limits=limits,
+                turn=settings.orientation,
+                true_heading=settings.true_heading,
+            )
     except PoorCalibration as error:
         output.write_json(wanted.refused(settings, error, chosen, track))
         raise

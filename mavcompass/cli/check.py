@@ -20,7 +20,7 @@ from mavcompass.cli.source import (
     system_option,
     this_year,
 )
-from mavcompass.cli.terminal.lines import mark
+from mavcompass.cli.terminal.lines import mark, showing_progress
 from mavcompass.installation.invocation import program
 from mavcompass.vehicle.transport import Recording, parse_address
 
@@ -105,7 +105,9 @@ def _as_recorded(source: str, settings: CheckSettings) -> CheckSettings:
         return settings  # what can be checked of it is
     settings = replace(settings, north={i: seen for i, seen in headings.items() if seen is not None})
     try:
-        return replace(settings, found=calibrate_compasses(track))
+        with showing_progress(Path(source).name) as progress:
+            progress("calibrating by all of it")
+            return replace(settings, found=calibrate_compasses(track))
     except (BadRecording, PoorCalibration):
         return settings
 

@@ -14,12 +14,11 @@ from mavcompass.cli.gap.shared import (
     diagnosed,
     say_comparison,
     say_summary,
-    showing_progress,
     write_report,
 )
 from mavcompass.cli.options import FILE, THERE, Commands, Output, Whole, common_options, report_option
 from mavcompass.cli.source import reference_option, require_for
-from mavcompass.cli.terminal.lines import bar
+from mavcompass.cli.terminal.lines import bar, showing_progress
 from mavcompass.errors import UsageError
 from mavcompass.files import write_text
 from mavcompass.installation.invocation import program

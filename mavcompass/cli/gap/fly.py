@@ -15,11 +15,11 @@ from mavcompass.cli.gap.shared import (
     baseline_option,
     diagnosed,
     say_comparison,
-    showing_progress,
     write_report,
 )
 from mavcompass.cli.options import THERE, Number, Output, common_options, report_option
 from mavcompass.cli.source import require_for
+from mavcompass.cli.terminal.lines import showing_progress
 from mavcompass.errors import UsageError
 from mavcompass.files import read_text
 

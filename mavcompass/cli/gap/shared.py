@@ -1,17 +1,14 @@
-"""What the commands about the gap share: options, a diagnosis of a file, what is being done."""
+"""What the commands about the gap share: options, a diagnosis of a file."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from mavcompass.cli.options import THERE, Output, Whole
-from mavcompass.cli.terminal.lines import styled
+from mavcompass.cli.terminal.lines import showing_progress, styled
 
 if TYPE_CHECKING:
     from mavcompass.gap.comparison import Comparison
@@ -52,18 +49,6 @@ def diagnosed(
 def say_summary(lines: list[str], output: Output, colour: str | None = None) -> None:
     """Say what to do, which is the first line, and why."""
     output.say(styled(lines[0], bold=True, fg=colour), *lines[1:])
-
-
-@contextmanager
-def showing_progress(name: str) -> Iterator[Callable[[str], None]]:
-    """Show what is being done on a terminal, from the first moment; stay quiet in a pipe."""
-    if not sys.stderr.isatty():
-        yield lambda doing: None
-        return
-    from rich.console import Console
-
-    with Console(stderr=True).status(f"{name}: reading") as status:
-        yield lambda doing: status.update(f"{name}: {doing}")
 
 
 def say_comparison(comparison: Comparison, output: Output) -> None:

@@ -1,6 +1,6 @@
 """What a terminal can: colours, and lines that are drawn anew; plain text elsewhere.
 
-Drawn anew are a compass whose card slides past a mark, and a bar of what is done.
+Drawn anew are a compass whose card slides past a mark, a bar of what is done, and what is being done.
 """
 
 from __future__ import annotations
@@ -129,3 +129,15 @@ def bar() -> Iterator[Bar]:
     with Progress(*columns, console=console, transient=True) as progress:
         task = progress.add_task("", total=None)
         yield lambda done, of, words: progress.update(task, total=of, completed=done, description=words)
+
+
+@contextmanager
+def showing_progress(name: str) -> Iterator[Callable[[str], None]]:
+    """Show what is being done on a terminal, from the first moment; stay quiet in a pipe."""
+    if not sys.stderr.isatty():
+        yield lambda doing: None
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status(f"{name}: reading") as status:
+        yield lambda doing: status.update(f"{name}: {doing}")
