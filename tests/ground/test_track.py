@@ -23,7 +23,8 @@ from mavcompass.messages import (
     SysStatus,
     SystemTime,
 )
-from mavcompass.track import InForce, MagSeries, Series, Track, may_saturate, saturated
+from mavcompass.saturation import may_saturate, saturated
+from mavcompass.track import InForce, MagSeries, Series, Track
 from mavcompass.track_builder import TrackBuilder, with_sound_times
 
 

@@ -207,8 +207,7 @@ def usable_effects(stimulus: Stimulus) -> list[Effect]:
     down = stimulus.rotation[:, 2, :2]
     if math.sqrt(float(down.var(axis=0).sum())) > math.sin(math.radians(4.0)):
         varied.add("tilt")
-    # A limit is what the effect itself brings.
-    varied |= {"turning", "reference", "limit"}
+    varied |= {"turning", "reference", "limit"}  # a limit is what its effect brings
     return [e for e in catalogue().values() if e.id not in _NEVER_NAMED and not e.lacking(varied)]
 
 
