@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from mavcompass.procedure.modes import ModeKeeper
 from mavcompass.procedure.script import Context, Script, pause
@@ -100,9 +100,9 @@ class SteeredTurn:
     steer: Steer
     way: TurnWay
     arrives: bool = False
-    _asked_radps: float = field(default=0.0, compare=False)
-    _learned_s: float | None = field(default=None, compare=False)
-    _ended: tuple[float, float] | None = field(default=None, compare=False)
+    _asked_radps: float = 0.0
+    _learned_s: float | None = None
+    _ended: tuple[float, float] | None = None
 
     def turn(self, context: Context, gyro: GyroAngle, angle_rad: float) -> Script[bool]:
         """Command the rate (clockwise positive) until the gyro says that the rest is what stopping takes.

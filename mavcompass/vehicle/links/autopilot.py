@@ -52,7 +52,7 @@ class Autopilot(Protocol):
     def time_s(self) -> float:
         """Return its virtual time, seconds; never goes back."""
 
-    def receive(self, message: Message, system: int, component: int, port: int = 0) -> None:
+    def receive(self, message: Message, system: int, component: int, port: int) -> None:
         """Hear a message now."""
 
     def advance(self, until_s: float) -> Sequence[Said]:

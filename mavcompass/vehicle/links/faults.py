@@ -125,7 +125,7 @@ class FaultyRecording:
         """Tell whether everything has been said and has arrived."""
         return self._recorded.ended and self._coming.next_s == math.inf
 
-    def receive(self, message: Message, system: int, component: int, port: int = 0) -> None:
+    def receive(self, message: Message, system: int, component: int, port: int) -> None:
         """Hear a message, perhaps, and later."""
         self._going.set_out(self.time_s, (message, system, component, port))
 

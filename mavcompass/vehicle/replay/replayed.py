@@ -41,7 +41,7 @@ class ReplayedAutopilot:
         """Tell whether everything has been played."""
         return self._next is None
 
-    def receive(self, message: Message, system: int, component: int, port: int = 0) -> None:
+    def receive(self, message: Message, system: int, component: int, port: int) -> None:
         """Hear a message; the answer leaves with the next `advance`."""
         self._answers.hear(message, port, self.time_s)
 

@@ -7,7 +7,7 @@ OFFBOARD, and as long as that lasts; when they stop it leaves OFFBOARD by itself
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from mavcompass.enums import MavFrame
 from mavcompass.procedure.modes import PX4_OFFBOARD, ModeKeeper
@@ -71,8 +71,8 @@ class OffboardTurn(SteeredTurn):
     """
 
     steer: Setpoints
-    modes: ModeKeeper | None = field(default=None, compare=False)
-    _watching: bool = field(default=False, compare=False)
+    modes: ModeKeeper | None = None
+    _watching: bool = False
 
     def turn(self, context: Context, gyro: GyroAngle, angle_rad: float) -> Script[bool]:
         """Turn; on the first turn start the stream and switch to OFFBOARD."""
