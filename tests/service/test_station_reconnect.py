@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections import defaultdict
 from collections.abc import Callable
 from contextlib import ExitStack
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
 
@@ -14,7 +16,6 @@ from serving import serving
 
 from mavcompass import messages as mav
 from mavcompass.enums import MavCmd
-from mavcompass.service.config import VehicleConfig
 from mavcompass.service.station import Station
 from mavcompass.service.work.clock import Schedule
 from mavcompass.service.work.history import History
@@ -151,14 +152,17 @@ def test_what_is_asked_for_is_given_back_at_the_end(
     assert station.stop() and not any(asked.values())
 
 
-def test_only_the_vehicle_of_the_configured_system_is_served(tmp_path: Path) -> None:
-    link = SimulatedLink(SimulatedAutopilot("rover", seed=1, system=7), speed=20.0)
-    config = configured(tmp_path, vehicle=VehicleConfig(source="sim:rover", system=3))
-    station = Station(config, History(tmp_path / "history.db"), lambda: link)
+def test_a_vehicle_that_does_not_tell_its_parameters_is_left_in_peace_between_the_tries(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link, sent_s = SimulatedLink.of("rover", seed=1), defaultdict[type[mav.Message], list[float]](list)
+    monkeypatch.setattr(link, "send", lambda message: sent_s[type(message)].append(link.now()))
+    station = Station(configured(tmp_path), History(tmp_path / "history.db"), lambda: link)
     station.start()
-    wait_for(lambda: link.statistics.received > 200)
-    assert station.view is None
-    assert station.stop()
+    wait_for(lambda: link.now() > 20.0)
+    assert station.stop() and sent_s[mav.ParamRequestRead][0] < 5.0
+    assert max(b - a for a, b in pairwise(sent_s[mav.ParamRequestRead])) > 4.0
+    assert len(sent_s[mav.Heartbeat]) < 1.5 * link.now(), "one a second, and where a procedure begins"
 
 
 def test_cuts_and_reboots_are_bridged_and_no_calibration_result_is_missed(

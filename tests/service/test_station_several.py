@@ -48,6 +48,9 @@ def test_a_service_says_which_there_are_until_one_is_named(tmp_path: Path) -> No
     with station_at(tmp_path, 3) as station:
         wait_for(lambda: station.view)
         assert station.view is not None and station.view.identity.system == 3
+    with station_at(tmp_path, 4) as station:  # which is not there
+        wait_for(lambda: station.link and station.link.statistics.received > 200)
+        assert station.view is None
 
 
 def test_history_and_recordings_are_their_owners(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import time
 import pytest
 from dialogue import HEARTBEAT, Expect, MemoryVehicle, Reply, Said, Silence, vehicle_script
 
+from mavcompass.enums import MavType
 from mavcompass.errors import LinkLost, NoReply, Refused, WriteFailed
 from mavcompass.messages import CommandAck, CommandLong, Heartbeat, ParamSet, ParamValue, Statustext
 from mavcompass.procedure.script import Ask, Context, Machine, Script, Show, ask, pause, request
@@ -59,14 +60,16 @@ def test_our_heartbeat_is_heard_every_second_under_the_vehicles_system_id() -> N
     vehicle = MemoryVehicle(system=7)
 
     def watch(context: Context) -> Script[None]:
-        yield from pause(context, 1.5)
+        with context.station():  # as a ground station's, too, for so long
+            yield from pause(context, 1.5)
         context.system, context.component = 7, 1
         yield from pause(context, 3.0)
 
     with SimulatedLink(vehicle) as link:
         run(Machine(watch), link)
-    beats = [(system, component) for system, component, m in vehicle.heard if isinstance(m, Heartbeat)]
-    assert beats == [(1, 191)] * 2 + [(7, 191)] * 3
+    beats = [(*sender, m.type) for *sender, m in vehicle.heard if isinstance(m, Heartbeat)]
+    ours, station = MavType.ONBOARD_CONTROLLER, MavType.GCS
+    assert beats == [(1, 191, ours)] * 2 + [(1, 191, station)] + [(7, 191, ours)] * 3
 
 
 def test_what_the_procedure_raises_reaches_the_caller() -> None:

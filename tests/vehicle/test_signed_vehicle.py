@@ -104,11 +104,9 @@ def test_with_the_vehicles_key_parameters_are_read_and_written(
 
 @pytest.mark.parametrize(
     ("passphrase", "told"),
-    [
-        ("seven of eight", "was not signed with the key in use"),
-        (None, "is signed: the vehicle may believe only who signs, too"),
-    ],
-)
+    [("seven of eight", "was not signed with the key in use"),
+     (None, "is signed: the vehicle may believe only who signs, too")],
+)  # fmt: skip
 def test_with_another_key_or_none_the_vehicle_believes_nothing(
     passphrase: str | None, told: str, wire: SigningVehicle, tmp_path: Path, capsys: Show
 ) -> None:

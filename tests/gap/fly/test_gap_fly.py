@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import time
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import numpy as np
@@ -206,6 +207,12 @@ def test_px4_is_started_as_a_copter_whose_instance_and_files_are_its_own(
         other.communicate(b"\n")
     try:
         assert int(port.name.rpartition(":")[2]) > 14540, "instance 0 runs already"
+        with (
+            ExitStack() as taken,
+            pytest.raises(UsageError, match="14540 to 14549, to which PX4 sends, are all"),
+        ):
+            while True:
+                taken.enter_context(closing(sitl.listen()))
         with pytest.raises(UsageError, match="as a copter"):
             sitl.start(tmp_path, Flight("rover", False, None, 0.0), {}, port)
         running = sitl.start(tmp_path, Flight("copter", False, (47.4, 8.5, 500.0), 0.0), {}, port)

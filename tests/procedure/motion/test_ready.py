@@ -31,17 +31,10 @@ def allow(permissions: Permissions) -> CalibrateSettings:
 
 @pytest.mark.parametrize(
     ("kind", "mode", "permissions", "sentence"),
-    [
-        ("rover", "GUIDED", Permissions(), "disarmed, so it cannot turn itself"),
-        (
-            "rover",
-            "MANUAL",
-            Permissions(arm=True),
-            "The vehicle is in MANUAL; it turns itself in GUIDED only",
-        ),
-        ("copter", "GUIDED", Permissions(set_mode=True), "disarmed, so it cannot turn itself"),
-    ],
-)
+    [("rover", "GUIDED", Permissions(), "disarmed, so it cannot turn itself"),
+     ("rover", "MANUAL", Permissions(arm=True), "The vehicle is in MANUAL; it turns itself in GUIDED only"),
+     ("copter", "GUIDED", Permissions(set_mode=True), "disarmed, so it cannot turn itself")],
+)  # fmt: skip
 def test_what_was_not_allowed_is_refused_and_not_tried(
     kind: str, mode: str, permissions: Permissions, sentence: str, tmp_path: Path
 ) -> None:

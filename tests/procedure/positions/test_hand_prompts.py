@@ -64,6 +64,9 @@ def test_the_way_is_told_until_it_is_near() -> None:
     assert person.mover.visited_rad == [0.0]
     person = Person(0.0, 90.0)  # and on round, not back to where it stands
     assert not person.runs(person.next(), 1.0).done and person.texts == ["Turn right 90 deg more."]
+    person = Person(0.0, 90.0, 180.0, 270.0)  # all round: to either side of the last, the nearer
+    person.at(230.0)
+    assert not person.runs(person.next(), 0.2).done and person.texts == ["Turn left 50 deg more."]
 
 
 def test_rest_anywhere_new_is_a_position() -> None:

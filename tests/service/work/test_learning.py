@@ -130,8 +130,9 @@ def test_where_only_another_compass_speaks_no_gyro_tells_the_turns(drive: Drive)
     ids=["drifts round slowly", "sways to and fro"],
 )
 def test_what_hardly_moves_is_kept_where_it_does_not_stand(drive: Drive, rates: list[float]) -> None:
-    drive.go(iter(rates), tend=False)
+    drive.go(iter(4 * rates))
     assert drive.learning._kept.dropped_s == 0.0
+    assert drive.learning.lessons[1].result.reasons[0].startswith("The vehicle turned only ")
 
 
 def test_iron_that_moved_is_dated_by_the_clock(drive: Drive) -> None:

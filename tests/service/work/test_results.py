@@ -195,3 +195,4 @@ def test_old_and_new_stand_side_by_side_with_a_card_where_the_field_is_known() -
     known = old_and_new(found(horizontal_mgauss=200.0, vertical_mgauss=400.0))
     assert [row["heading_deg"] for row in known["deviation"]] == [15.0 * k for k in range(24)]
     assert {row["old_error_deg"] for row in known["deviation"]} == {0.0}
+    assert (known["horizontal_mgauss"], known["before_deg"]) == (200.0, None)

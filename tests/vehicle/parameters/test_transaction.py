@@ -452,10 +452,20 @@ def test_the_device_id_is_left_alone_where_the_firmware_is_content(tmp_path: Pat
     assert {c.command for c in vehicle.commands} == {MavCmd.RUN_PREARM_CHECKS}
 
 
-def test_what_is_no_offset_has_no_device_id_stored(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("change", "asked"),
+    [
+        (Change("COMPASS_DIA_X", 1.0, 1.1), set()),
+        (Change("COMPASS_OFS_X", 9.0, 0.0), {MavCmd.RUN_PREARM_CHECKS}),
+    ],
+)
+def test_what_is_no_offset_has_no_device_id_stored(
+    change: Change, asked: set[MavCmd], tmp_path: Path
+) -> None:
     vehicle = never_calibrated()
-    plan = ParameterPlan((Change("COMPASS_DIA_X", 1.0, 1.1),))
-    assert write(Radio(vehicle), plan, tmp_path).remarks == () and not vehicle.commands
+    vehicle.values[change.name] = change.old
+    assert write(Radio(vehicle), ParameterPlan((change,)), tmp_path).remarks == ()
+    assert {command.command for command in vehicle.commands} == asked
 
 
 def test_a_build_without_sensor_offsets_gets_the_other_command_and_the_person_is_told(tmp_path: Path) -> None:
