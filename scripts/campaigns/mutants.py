@@ -35,7 +35,7 @@ import pytest
 from campaign import PROJECT, Several, ended, options, share
 from coverage import CoverageData
 from mutation.sites import Site, mutated, sites, swap
-from mutation.test_contexts import SECONDS, SOURCES
+from mutation.test_contexts import LOADING, SECONDS, SOURCES
 
 # These try the project's folder itself, which a copy is not.
 _UNFIT = ("tests/test_launcher", "tests/test_package", "tests/test_project_files")
@@ -109,7 +109,7 @@ class Covering:
         Those of the folder that mirrors the file's are about it; further cases say less than a test's first.
         """
         contexts = self._contexts(site)
-        files = {context.partition(" ")[2] for context in contexts if context.startswith("file ")}
+        files = {context.partition(" ")[2] for context in contexts if context.startswith(("file ", LOADING))}
         room, folder = (str(Path("tests", *Path(site.path).parts[1:end])) + "/" for end in (2, -1))
         cases, order = Counter[str](), list[tuple[float, str]]()
         for name in sorted(self._seconds, key=self._seconds.__getitem__):
@@ -125,6 +125,10 @@ class Covering:
                 budget_s -= self._seconds[name]
                 chosen.setdefault(name.partition("::")[0], []).append(name)
         return [name for names in chosen.values() for name in names]
+
+    def is_loaded(self, site: Site) -> bool:
+        """Tell whether a place did its work as the tests were loaded: they are to be loaded again."""
+        return site.names is not None or any(one.startswith(LOADING) for one in self._contexts(site))
 
     def _contexts(self, site: Site) -> set[str]:
         """Return what ran the line of a place; of what is set as a file is loaded, what names it."""
@@ -184,17 +188,18 @@ class Campaign(_First):
         with suppress(KeyboardInterrupt):
             while drawn:
                 for number, site in enumerate(drawn, 1):
-                    self._try(site, number, covering.tests(site, self._options.budget))
+                    chosen = covering.tests(site, self._options.budget)
+                    self._try(site, number, chosen, covering.is_loaded(site))
                 unsound = self._fail_anyway({test for test in self.caught_by.values() if test})
                 drawn = [site for site, test in self.caught_by.items() if test in unsound]
         return True
 
-    def _try(self, site: Site, number: int, covering: Sequence[str]) -> None:
+    def _try(self, site: Site, number: int, chosen: Sequence[str], loaded: bool) -> None:
         tree, what = mutated(self._root, site)
-        path, tests = self._root / site.path, [test for test in covering if test not in self._unsound]
+        path, tests = self._root / site.path, [test for test in chosen if test not in self._unsound]
 
         def run() -> bool:
-            at_hand = site.names is None and swap(tree, path, self._functions)
+            at_hand = not loaded and swap(tree, path, self._functions)
             return self._passes(tests) if at_hand else self._pass_anew(tests)
 
         with _changed(path, ast.unparse(tree), number):

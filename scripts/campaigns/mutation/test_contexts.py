@@ -20,6 +20,7 @@ from mavcompass.workers import child
 
 SECONDS = ".coverage-seconds"
 SOURCES = ".coverage-sources"
+LOADING = "loading "
 _seconds: Counter[str] = Counter()
 
 
@@ -43,6 +44,13 @@ def _end_and_tell(process: subprocess.Popen[bytes]) -> None:
 def pytest_configure() -> None:
     """Have worker processes counted, which are killed otherwise."""
     child._end = _end_and_tell
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_make_collect_report(collector: pytest.Collector) -> None:
+    """Enter the loading of a file: what is tested may make the rows of a table there."""
+    if isinstance(collector, pytest.Module):
+        _enter(f"{LOADING}{collector.nodeid}")
 
 
 @pytest.hookimpl(hookwrapper=True)
