@@ -61,6 +61,15 @@ def test_a_heading_has_the_doubt_of_what_was_just_written() -> None:
     assert seen.compasses[1].calibration_sigma_rad == pytest.approx(math.radians(0.2))
 
 
+def test_compasses_that_stand_apart_claim_no_less_than_that() -> None:
+    seen, east = view(), FIELD | {"xmag": 0, "ymag": -200}
+    for tenth in range(100):
+        seen.hear(heard(mav.RawImu(time_usec=100_000 * tenth, **FIELD), 0.1 * tenth))
+        seen.hear(heard(mav.ScaledImu2(time_boot_ms=100 * tenth, **east), 0.1 * tenth))
+    told = [compass.latest.sigma_rad for compass in seen.compasses.values() if compass.latest is not None]
+    assert len(told) == 2 and min(told) > math.radians(30.0)
+
+
 def test_scaled_imu_counts_where_raw_imu_was_not_heard_lately() -> None:
     seen = view()
     scaled = mav.ScaledImu(time_boot_ms=5000, **FIELD)

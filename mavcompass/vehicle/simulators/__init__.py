@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from mavcompass.vehicle.simulators.ardupilot import ArduPilotSitl
@@ -19,10 +20,8 @@ def simulator_of(
 
     Raises UsageError where it cannot be run or is none.
     """
-    simulator: ArduPilotSitl | Px4Sih
+    simulator: ArduPilotSitl | Px4Sih = ArduPilotSitl(program, model, {}, defaults)
     if program.name.startswith("px4"):
-        simulator = Px4Sih(program, {}, tuple(defaults), 4.0 if speed is None else speed)
-    else:
-        simulator = ArduPilotSitl(program, model, {}, defaults, 8.0 if speed is None else speed)
+        simulator = Px4Sih(program, {}, tuple(defaults))
     simulator.check()
-    return simulator
+    return simulator if speed is None else replace(simulator, speed=speed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -56,7 +57,9 @@ def test_an_independent_attitude_is_believed_first() -> None:
 def test_the_motion_begins_with_both_and_ends_with_the_first() -> None:
     late = MagSeries(1, Series.of(TIME[60:], np.full((340, 3), 200.0)))
     early = Series.of(TIME[:300], np.stack([0.0 * TIME, 0.0 * TIME, 0.1 * TIME], axis=1)[:300])
-    profile = profile_of(Track(vehicle="boat", compasses={1: late}, attitude_rad=early, utc_offset_s=1000.0))
+    track = Track(compasses={1: late}, attitude_rad=early, gps_velocity_mps=series(TIME, 0.0, 0.0))
+    profile = profile_of(replace(track, vehicle="boat", utc_offset_s=1000.0))
+    assert profile.velocity_mps[20, 0] == pytest.approx(5.0)
     assert profile.utc_s == 1003.0 and profile.duration_s == pytest.approx(14.95 - 3.0, abs=0.1)
     assert profile.yaw_rad[20] == pytest.approx(0.1 * 5.0)
     assert profile_of(recording(), longest_s=10.0).duration_s == pytest.approx(9.9)

@@ -47,7 +47,7 @@ def proof_of(solved: Solved, doubts: tuple[str, ...] = (), off_mgauss: float = 0
 def test_a_right_calibration_is_proven(solved: Solved) -> None:
     proof = proof_of(solved)
     assert proof.passed and proof.summary().startswith("Checked by a turn: compass 1 ")
-    assert proof.compasses[0].change_deg < 0.3
+    assert proof.compasses[0].change_deg < 0.3 and proof.compasses[0].tolerance_deg < 5.0
 
 
 def test_a_bend_that_the_turn_does_not_show_is_seen_by_solving_anew(solved: Solved) -> None:

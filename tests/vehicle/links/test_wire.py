@@ -6,6 +6,7 @@ import os
 import socket
 import sys
 import threading
+import time
 import tty
 from collections.abc import Iterator
 from contextlib import closing
@@ -183,6 +184,9 @@ def test_a_broken_tcp_connection_is_opened_again() -> None:
             assert not ours.peers()
             ours.wait(1.0)
             assert ours.peers()
+            began_s = time.monotonic()
+            ours.wait(0.2)
+            assert time.monotonic() - began_s > 0.15, "it sleeps while nothing comes"
 
 
 def test_a_usb_port_that_vanishes_and_comes_back_is_opened_again(tmp_path: Path) -> None:
