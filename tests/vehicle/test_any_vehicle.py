@@ -5,6 +5,7 @@ Nothing is moved, and what is changed is put back.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from typing import TypeVar
 
@@ -14,6 +15,7 @@ from serving import serving
 
 from mavcompass.enums import MavCmd, MavResult
 from mavcompass.messages import (
+    Attitude,
     CommandAck,
     CommandLong,
     Incoming,
@@ -103,6 +105,30 @@ def test_a_message_comes_at_the_rate_that_was_asked_for(link: Link) -> None:
 
 def _stamp_s(message: Message) -> float:
     return message.time_usec * 1e-6 if isinstance(message, RawImu) else message.time_boot_ms * 1e-3  # type: ignore[attr-defined]
+
+
+def test_field_and_attitude_are_plausible(link: Link) -> None:
+    fields: list[float] = []
+    yaws: list[float] = []
+
+    def listen(incoming: Incoming) -> None:
+        match incoming.message:
+            case RawImu() | ScaledImu() as imu:
+                fields.append(math.hypot(imu.xmag, imu.ymag, imu.zmag))
+            case Attitude(yaw=yaw):
+                yaws.append(yaw)
+
+    def script(context: Context) -> Script[None]:
+        vehicle = yield from find_vehicle(context)
+        for kind in (field_message(vehicle), Attitude):
+            yield from command(context, MavCmd.SET_MESSAGE_INTERVAL, float(message_id(kind)), 1e5)
+        yield from pause(context, 1.0)
+        for kind in (field_message(vehicle), Attitude):
+            yield from command(context, MavCmd.SET_MESSAGE_INTERVAL, float(message_id(kind)), 0.0)
+
+    run(Machine(script), link, on_message=listen)
+    assert len(fields) > 5 and 100.0 < np.median(fields) < 1500.0, "milligauss"
+    assert len(yaws) > 5 and all(-math.pi <= yaw <= math.pi for yaw in yaws)
 
 
 def test_an_unknown_command_is_refused_and_an_unknown_parameter_stays_unanswered(link: Link) -> None:
