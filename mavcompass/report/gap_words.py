@@ -177,7 +177,9 @@ def summary(diagnosis: Diagnosis, everything: bool = False) -> list[str]:
 def unseen_iron(diagnosis: Diagnosis) -> list[str]:
     """Say why the commonest of all faults could not show, where it could not."""
     why = dict(diagnosis.not_testable).get("hard_iron")
-    return [] if why is None else [f"  iron on the vehicle (hard_iron) cannot be tested: {why}"]
+    if why is None or "hard_iron" in diagnosis.effects:
+        return []
+    return [f"  iron on the vehicle (hard_iron) cannot be tested: {why}"]
 
 
 def cause_values(cause: Cause) -> str:

@@ -283,7 +283,7 @@ def describe(evidence: Evidence, answer: Answer) -> Diagnosis:
         unknown=answer.flagged,
         unknown_coordinate=answer.coordinate,
         tests=tuple((t.name, t.p) for t in evidence.goodness.tests[:12]),
-        not_testable=tuple(sorted(_not_testable(evidence, named).items())),
+        not_testable=tuple(sorted((_hidden(evidence, named) | evidence.untestable).items())),
         next_flight=next_flights(rivals, replayed.signals.stimulus.field_ned_mgauss[0], floor.noise),
         folded=floor.folded,
         withheld=tuple(sorted(evidence.withheld)),
@@ -323,11 +323,9 @@ def _unusually_late_s(evidence: Evidence, named: Fit) -> float | None:
     return late_s if late_s > usual.age.usual_s + usual.age.unusual * usual.age.sigma_s else None
 
 
-def _not_testable(evidence: Evidence, named: Fit) -> dict[str, str]:
-    """Say of effects that are not named why they may be there all the same."""
-    hidden: dict[str, str] = {}
-    if evidence.track.compasses[evidence.compass].less_learnt:
-        offsets = (e.id for e in catalogue().values() if e.affine and e.stage is Stage.FIELD)
-        hidden = dict.fromkeys(offsets, "PX4's HIGHRES_IMU is less what its estimator learns of it")
-    every = hidden | evidence.untestable
-    return {effect: why for effect, why in every.items() if effect not in named.ids}
+def _hidden(evidence: Evidence, named: Fit) -> dict[str, str]:
+    """Say of iron that is not seen why it may be there all the same."""
+    if not evidence.track.compasses[evidence.compass].less_learnt:
+        return {}
+    offsets = {e.id for e in catalogue().values() if e.affine and e.stage is Stage.FIELD}
+    return dict.fromkeys(offsets - named.ids, "PX4's HIGHRES_IMU is less what its estimator learns of it")
