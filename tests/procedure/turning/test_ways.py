@@ -13,6 +13,7 @@ from mavcompass.procedure.turning.pilots_controls import ManualAxis, SteeringOve
 from mavcompass.procedure.turning.profiles import known_ways, strategies_for, vehicle_profile
 from mavcompass.procedure.turning.steered import Steer, TurnWay
 from mavcompass.procedure.turning.ways.guided import AttitudeRate, HeadingAhead, YawRate, YawStep
+from mavcompass.procedure.vehicle_state import VehicleState
 
 DEG = math.radians(1.0)
 
@@ -154,11 +155,41 @@ def test_a_yaw_step_is_relative_and_no_farther_than_what_is_left_or_ends_in_time
 
 
 @pytest.mark.parametrize(
+    ("rate_deg_s", "left_deg", "heading_deg"),
+    [(36.0, 90.0, 20.6), (-36.0, 90.0, 319.4), (36.0, 4.0, 354.0), (36.0, -4.0, 350.0)],
+)
+def test_a_yaw_step_may_be_told_as_a_heading_the_shorter_way(
+    rate_deg_s: float, left_deg: float, heading_deg: float
+) -> None:
+    """By the autopilot's own heading, 350 deg: what it aims at may lag behind that by any angle."""
+    steer = YawStep(own=VehicleState(attitude=mav.Attitude(yaw=-10.0 * DEG)))
+    (held,) = sent_after(steer)
+    for message, told in ((sent(steer, rate_deg_s, left_deg), heading_deg), (held, 350.0)):
+        assert isinstance(message, mav.CommandLong)
+        assert (message.param1, message.param3, message.param4) == pytest.approx((told, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("by_heading", [True, False])
+def test_a_sub_whose_aim_lags_is_turned_the_right_way_by_headings_alone(by_heading: bool) -> None:
+    """As ArduSub turns: an angle is added to its aim, and it goes the way that lies from its nose."""
+    yaw_deg, aim_deg, told = 0.0, -12.0, VehicleState(attitude=mav.Attitude(yaw=0.0))
+    for _ in range(20):
+        message = sent(YawStep(own=told if by_heading else None), 36.0, 90.0)
+        assert isinstance(message, mav.CommandLong)
+        sought_deg = message.param1 + (aim_deg if message.param4 else 0.0)
+        step_deg = math.copysign(3.6, (sought_deg - yaw_deg + 180.0) % 360.0 - 180.0)
+        yaw_deg, aim_deg = yaw_deg + step_deg, aim_deg + step_deg
+        told.attitude = mav.Attitude(yaw=yaw_deg * DEG)
+    assert yaw_deg == pytest.approx(72.0 if by_heading else -72.0)
+
+
+@pytest.mark.parametrize(
     ("way", "steer", "arrives"),
     [
         ("heading targets", HeadingAhead(1.25, 2.0), False),
         ("attitude targets", AttitudeRate(), False),
         ("CONDITION_YAW", YawStep(2.0), True),
+        ("CONDITION_YAW to headings", YawStep(2.0), True),
         ("yaw rate targets", YawRate(), False),
         ("yaw rate targets at a standstill", YawRate(0x5C7), False),
         ("slow arcs", YawRate(0x5C7, 1.5), False),

@@ -10,10 +10,12 @@ from mavcompass.enums import MavCmd, MavFrame
 from mavcompass.procedure.script import Context
 from mavcompass.procedure.turning.steered import RUNS_ON_S, SLOW_RADPS, Builder, Steer, SteeredTurn
 from mavcompass.procedure.turning.targets import STAND_AND_YAW_RATE, YAW_ONLY, YAW_RATE_ONLY, send_target
+from mavcompass.procedure.vehicle_state import VehicleState
 
 # Far from half a turn, beyond which it would be the other way round.
 _FARTHEST_RAD = math.radians(90.0)
-_STEP_RAD, _RELATIVE = math.radians(8.0), 1.0
+# CONDITION_YAW's own words, and the step by which it is repeated.
+_STEP_RAD, _RELATIVE, _ABSOLUTE, _SHORTER = math.radians(8.0), 1.0, 0.0, 0.0
 # SET_ATTITUDE_TARGET's type_mask: only the yaw rate and the thrust count.
 _RATE_AND_THRUST = 0x83
 
@@ -98,14 +100,24 @@ class YawStep(Steer):
 
     A repeated relative command replaces what is left of the last one, so the steps do not add up. The last
     one is gone on with where the link dies: it is no longer than the rate covers in time.
+
+    ArduSub adds a relative angle to the heading that it aims at, and turns the way in which the sum lies from
+    its own heading (AC_AttitudeControl_Sub). Where that is being put right and the aim lags behind, it turns
+    the wrong way round, and goes on. It is told headings.
+
+    Attributes:
+        own: knows the autopilot's own heading, by which headings are told; None for relative angles.
     """
 
     ends_within_s: float = 1.0
+    own: VehicleState | None = None
 
     def turn(self, context: Context, rate_radps: float, left_rad: float) -> None:
         """Turn on by a step, at the rate; not farther than what is left, or than it turns in time."""
         in_time_rad = abs(rate_radps) * (self.ends_within_s - RUNS_ON_S)
-        self._command(context, min(_STEP_RAD, in_time_rad, max(left_rad, 0.0)), rate_radps)
+        # A heading is told by one that was true a tenth of a second ago: a small step would stop and go.
+        step_rad = in_time_rad if self.own is not None else min(_STEP_RAD, in_time_rad)
+        self._command(context, min(step_rad, max(left_rad, 0.0)), rate_radps)
 
     def stand(self, context: Context) -> None:
         """Do nothing: the last step ends by itself and the autopilot holds its yaw."""
@@ -115,8 +127,12 @@ class YawStep(Steer):
         self._command(context, 0.0, math.radians(30.0))
 
     def _command(self, context: Context, angle_rad: float, rate_radps: float) -> None:
-        how = (math.degrees(angle_rad), math.degrees(abs(rate_radps)), math.copysign(1.0, rate_radps))
-        context.command(MavCmd.CONDITION_YAW, *how, _RELATIVE)
+        rate_deg_s, sign = math.degrees(abs(rate_radps)), math.copysign(1.0, rate_radps)
+        if self.own is None or self.own.attitude is None:
+            context.command(MavCmd.CONDITION_YAW, math.degrees(angle_rad), rate_deg_s, sign, _RELATIVE)
+        else:
+            heading_deg = math.degrees(self.own.attitude.yaw + sign * angle_rad) % 360.0
+            context.command(MavCmd.CONDITION_YAW, heading_deg, rate_deg_s, _SHORTER, _ABSOLUTE)
 
 
 WAYS: dict[str, Builder] = {
@@ -126,4 +142,7 @@ WAYS: dict[str, Builder] = {
     "slow arcs": lambda way, modes: SteeredTurn(YawRate(STAND_AND_YAW_RATE, way.forward_mps), way),
     "attitude targets": lambda way, modes: SteeredTurn(AttitudeRate(), way),
     "CONDITION_YAW": lambda way, modes: SteeredTurn(YawStep(way.ends_within_s), way, arrives=True),
+    "CONDITION_YAW to headings": lambda way, modes: SteeredTurn(
+        YawStep(way.ends_within_s, None if modes is None else modes.state), way, arrives=True
+    ),
 }
