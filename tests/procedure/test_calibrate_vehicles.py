@@ -9,6 +9,7 @@ import pytest
 from bent_vehicles import KINDS, bent_vehicle, calibrated, overheard, untouched
 
 from mavcompass.messages import ParamSet
+from mavcompass.procedure.motion.safety import MotionGuard
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.vehicle import SimulatedAutopilot
@@ -64,10 +65,15 @@ def test_over_a_bad_link_the_error_stays_within_what_the_sigma_claims(tmp_path: 
     assert error_deg <= min(0.5, 3.0 * report.results[0].heading_sigma_deg)
 
 
-def test_more_positions_are_visited_where_four_leave_too_much_in_doubt(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("share", "positions"), [(0.45, 6), (0.55, 4)])
+def test_more_positions_are_visited_where_four_leave_too_much_in_doubt(
+    share: float, positions: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Unless it has strayed over half of its room: stopped there, it would have all of it for nothing."""
+    monkeypatch.setattr(MotionGuard, "strayed_m", property(lambda guard: share * guard.room_m))
     settings = CalibrateSettings(writing="never", enough_deg=0.01, most_positions=6)
     report = calibrated(bent_vehicle("rover", 1), tmp_path, settings)
-    assert len(report.windows) == 6
+    assert len(report.windows) == positions
     turned = np.degrees([window.turned_rad for window in report.windows]) % 360.0
     gaps = np.diff(np.sort(np.append(turned, turned.min() + 360.0)))
     assert gaps.min() > 25.0

@@ -60,6 +60,7 @@ class Mobility:
     mover: Mover | None = None
     _modes: ModeKeeper = field(init=False)
     _readiness: Readiness | None = None
+    _guard: MotionGuard | None = None
 
     def __post_init__(self) -> None:
         self._modes = ModeKeeper(self.desk.state, self.desk.identity.autopilot)
@@ -114,7 +115,7 @@ class Mobility:
         profile = vehicle_profile(kind, desk.identity.autopilot, self._is_ackermann)
         room_m = DRIFT_M if profile is None else max(DRIFT_M, profile.drift_m)
         ours = channels_moved(kind, self.turn_by)
-        guard = MotionGuard(desk.state, desk.gyro, kind, self._modes, room_m, ours)
+        self._guard = guard = MotionGuard(desk.state, desk.gyro, kind, self._modes, room_m, ours)
         guard.begin()
         desk.context.listeners.append(guard.hear)
         desk.context.watches.append(guard.check)
@@ -127,6 +128,11 @@ class Mobility:
     def steers_astray(self) -> bool:
         """Tell whether the vehicle itself has refused to move by its compass as that is."""
         return self._readiness is not None and self._readiness.exempted
+
+    @property
+    def has_room(self) -> bool:
+        """Tell whether the vehicle may stray as far again as it has."""
+        return self._guard is None or 2.0 * self._guard.strayed_m < self._guard.room_m
 
     def end(self, in_a_hurry: bool) -> Script[None]:
         """Stop any motion, end the watch, and give the vehicle back as it was taken."""

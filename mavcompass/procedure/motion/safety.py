@@ -182,16 +182,19 @@ class MotionGuard:
                 return f"The vehicle is {height_m:.1f} m above its start, too low to be turned."
         return None
 
-    def _strayed(self) -> str | None:
+    @property
+    def strayed_m(self) -> float:
+        """Return how far the vehicle is from where it started, as far as it knows."""
         place, start = self.state.place, self._place
-        if place is None:
+        return 0.0 if place is None or start is None else math.hypot(*metres_from(start, place))
+
+    def _strayed(self) -> str | None:
+        if self._place is None:
+            self._place = self.state.place
+        if self._place is None:
             return None
-        if start is None:
-            self._place = place
-            return None
-        drift_m = math.hypot(*metres_from(start, place))
-        if drift_m > self.room_m:
-            reason = f"The vehicle moved {drift_m:.1f} m away from where it started."
+        if self.strayed_m > self.room_m:
+            reason = f"The vehicle moved {self.strayed_m:.1f} m away from where it started."
             return f"{reason} {_CIRCLING if self.kind in HOVERING else _ASTRAY}"
         return self._too_low()
 
