@@ -112,8 +112,7 @@ def run_cell(cell: Cell, traced: Trace) -> Outcome:
         scene.active = True
         ending = attempt(cell.work, scene)
         ended_s, scene.active, scene.dead = scene.vehicle.time_s, False, False
-        scene.disk_error, scene.limit_s = 0, float("inf")
-        scene.silent_until_s = -float("inf")
+        scene.disk_error, scene.limit_s, scene.silent_until_s = 0, float("inf"), -float("inf")
         if scene.count < cell.number:
             return Outcome(cell, ["the step never came"], "", scene)
         told = "killed" if isinstance(ending.error, Killed) else str(ending.error or "done")

@@ -41,11 +41,8 @@ def _motion(scene: Scene, work: Work, ended_s: float) -> list[str]:
         # The service goes on after a fault, and may turn the vehicle again when it is asked to.
         last_s = scene.stood_s if work.goes_on else scene.turning_s
         longer_s = max(longer_s, last_s - scene.at_s)
-    return (
-        [f"turned {longer_s:.2f} s longer"]
-        if work.moves and longer_s > STANDS_WITHIN_S + work.flies_on_s
-        else []
-    )
+    late = work.moves and longer_s > STANDS_WITHIN_S + work.flies_on_s
+    return [f"turned {longer_s:.2f} s longer"] if late else []
 
 
 def _what_was_told(scene: Scene, ending: Ending, known: frozenset[Path]) -> list[str]:
@@ -54,8 +51,7 @@ def _what_was_told(scene: Scene, ending: Ending, known: frozenset[Path]) -> list
     if not ending.written:
         return []
     if scene.foreign and scene.fault is not None and scene.fault.name in UNSEEN:
-        read_after = all(scene.read_s.get(n, -1e9) > scene.foreign_s + 0.1 for n in scene.foreign)
-        if not read_after:
+        if not all(scene.read_s.get(n, -1e9) > scene.foreign_s + 0.1 for n in scene.foreign):
             return []  # nobody can know
     now = scene.compass_values()
     planned = dict(records[-1][1].planned) if records else {}
@@ -88,10 +84,8 @@ def judge_way_back(scene: Scene, known: frozenset[Path]) -> list[str]:
 
 def _records(scene: Scene, known: frozenset[Path]) -> list[tuple[Path, UndoRecord]]:
     """Read the undo files of the run, in the order of their making; half ones are none."""
-    found = []
-    for path in sorted(
-        set(scene.undo_folder.glob("*.json")) - known, key=lambda p: (p.stat().st_ctime_ns, p)
-    ):
+    found, new = [], set(scene.undo_folder.glob("*.json")) - known
+    for path in sorted(new, key=lambda p: (p.stat().st_ctime_ns, p)):
         try:
             found.append((path, load_record(path)))
         except UsageError:
@@ -101,8 +95,7 @@ def _records(scene: Scene, known: frozenset[Path]) -> list[tuple[Path, UndoRecor
 
 def _named(scene: Scene) -> set[Path]:
     """List the undo files whose command was told."""
-    told = [match for text in scene.told for match in _COMMAND.finditer(text)]
-    return {Path(shlex.split(match[3])[0]) for match in told}
+    return {Path(shlex.split(said[3])[0]) for text in scene.told for said in _COMMAND.finditer(text)}
 
 
 def _way_back(scene: Scene, path: Path, record: UndoRecord) -> list[str]:

@@ -23,10 +23,12 @@ from mavcompass.messages import (
     Incoming,
     Message,
     ParamRequestRead,
+    ParamSet,
     SetAttitudeTarget,
     SetPositionTargetLocalNed,
 )
 from mavcompass.procedure.script import Show
+from mavcompass.simulation.autopilot.guidance import TARGET_TIMEOUT_S
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.simulated import SimulatedLink
 
@@ -89,8 +91,11 @@ class Scene:
         before: the compass parameters at the start. touched: those that the undisturbed run wrote.
         foreign, foreign_s: what somebody else wrote, and when last. read_s: when each was read last.
         tracebacks: those in the log, and those that nobody could catch.
-        turning_s: when the vehicle was last seen turning. stood_s: when first not, after `at_s`.
-        commanded_s: when it was last told to turn. sent: messages that got through, by kind.
+        order: the mode in which it turns as it is told, and until when what it was told last lasts.
+        commanded_s: when it was last told to turn, or last turned by an order in force.
+        turning_s: when it was last seen in a turn that an order began; one that the autopilot begins by
+            itself, as where it holds a heading that jumps, is not ours. stood_s: when first not turning,
+            after `at_s`. sent: messages that got through, by kind. wrote: parameters that were told a value.
     """
 
     vehicle: SimulatedAutopilot
@@ -116,10 +121,12 @@ class Scene:
     foreign_s: float = -math.inf
     agenda: list[tuple[float, Callable[[], None]]] = field(default_factory=list)
     read_s: dict[str, float] = field(default_factory=dict)
+    order: tuple[str, float] = ("", -math.inf)
+    commanded_s: float = -math.inf
     turning_s: float = -math.inf
     stood_s: float = -math.inf
-    commanded_s: float = -math.inf
     sent: Counter[type[Message]] = field(default_factory=Counter)
+    wrote: set[str] = field(default_factory=set)
     tracebacks: list[str] = field(default_factory=list)
     held: dict[str, Carried] = field(default_factory=dict)
 
@@ -258,31 +265,40 @@ class WatchedLink(SimulatedLink):
         if scene.closed or self.now() < scene.silent_until_s:
             return
         scene.sent[type(carried.message)] += 1
-        if isinstance(carried.message, ParamRequestRead):
-            scene.read_s[carried.message.param_id] = self.now()
-        if moves(carried.message):
-            scene.commanded_s = self.now()
+        match carried.message:
+            case ParamRequestRead(param_id=name):
+                scene.read_s[name] = self.now()
+            case ParamSet(param_id=name):
+                scene.wrote.add(name)
+        if (lasts_s := ordered_s(carried.message)) is not None:
+            mode = scene.order[0] or (self.autopilot.firmware.status.mode if lasts_s else "")
+            scene.order = mode, self.now() + lasts_s
+            scene.commanded_s = self.now() if lasts_s else scene.commanded_s
         self.autopilot.receive(carried.message, carried.system, carried.component, self._port)
 
     def _advance(self, until_s: float) -> None:
+        before_s = self.autopilot.time_s
         super()._advance(until_s)
-        scene = self.scene
+        scene, now_s, status = self.scene, self.autopilot.time_s, self.autopilot.firmware.status
         if abs(scene.vehicle.body.yaw_rate_radps) > TURNING_RADPS:
-            scene.turning_s = self.autopilot.time_s
-        elif self.autopilot.time_s >= scene.at_s > scene.stood_s:
-            scene.stood_s = self.autopilot.time_s
+            if status.armed and status.mode == scene.order[0] and now_s <= scene.order[1]:
+                scene.commanded_s = scene.turning_s = now_s
+            elif scene.turning_s >= before_s:
+                scene.turning_s = now_s
+        elif now_s >= scene.at_s > scene.stood_s:
+            scene.stood_s = now_s
 
 
-def moves(message: Message) -> bool:
-    """Tell whether a message asks for a turn; a command of zero rate does not."""
+def ordered_s(message: Message) -> float | None:
+    """Return for how long a message has the vehicle turn, 0 to stand; None where it says nothing of that."""
     match message:
-        case CommandLong(command=115):
-            return True
+        case CommandLong(command=115, param1=angle_deg, param2=rate_deg_s):
+            return angle_deg / rate_deg_s
         case SetPositionTargetLocalNed(yaw_rate=rate, type_mask=mask):
-            return not (mask & 0x400) or rate != 0.0
+            return TARGET_TIMEOUT_S if not mask & 0x400 or rate else 0.0
         case SetAttitudeTarget(body_yaw_rate=rate, type_mask=mask):
-            return not (mask & 0x80) or rate != 0.0
-    return False
+            return TARGET_TIMEOUT_S if not mask & 0x80 or rate else 0.0
+    return None
 
 
 class _WatchedFile:

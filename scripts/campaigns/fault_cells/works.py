@@ -144,19 +144,11 @@ def serve_undo(scene: Scene) -> bool:
 
 def prepare_write(scene: Scene) -> None:
     """Make the file that is to be written: other offsets, and other scales, of the first compass."""
-    stems = (
-        ("COMPASS_OFS", "COMPASS_DIA")
-        if scene.vehicle.firmware.store.get("COMPASS_OFS_X", -1e9) > -1e9
-        else None
-    )
-    names = (
-        [f"{s}_{a}" for s in stems for a in "XYZ"]
-        if stems
-        else [f"CAL_MAG0_{a}{q}" for q in ("OFF", "SCALE") for a in "XYZ"]
-    )
-    held = scene.compass_values()
-    step = (20.0, 0.05) if stems else (0.03, 0.05)
-    wanted = {n: held[n] + step[k // 3] * (1 if k % 2 else -1) for k, n in enumerate(names)}
+    held, kinds = scene.compass_values(), {"CAL_MAG0_{}OFF": 0.03, "CAL_MAG0_{}SCALE": 0.05}
+    if "COMPASS_OFS_X" in held:
+        kinds = {"COMPASS_OFS_{}": 20.0, "COMPASS_DIA_{}": 0.05}
+    steps = {kind.format(axis): step for kind, step in kinds.items() for axis in "XYZ"}
+    wanted = {n: held[n] + steps[n] * (1 if k % 2 else -1) for k, n in enumerate(steps)}
     write_parameter_file(scene.folder / "wanted.param", wanted)
 
 

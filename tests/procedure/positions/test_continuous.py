@@ -69,12 +69,7 @@ def test_whoever_steps_in_ends_the_turn_as_any_other(
     interruptions = campaigns("interruptions")
     for seed in (3000, 3001):
         outcome = interruptions.interrupt("rover", event, seed, 12.0, CONTINUOUS)
-        if outcome is None:
-            continue
-        late = {"turned more than 1 s after"} if event == "silence" else set()
-        assert set(outcome.wrong) <= late, (outcome.seed, outcome.at_s, outcome.told)
-        # The link dead, nobody can say stop: what was named last ends within 1.3 s.
-        assert outcome.turning_s <= 1.3
+        assert outcome is None or not outcome.wrong, (outcome.seed, outcome.at_s, outcome.told)
 
 
 def stand(rates_deg_s: list[float], until_s: float = 8.0) -> Window:
