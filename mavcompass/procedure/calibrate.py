@@ -98,7 +98,7 @@ class _Calibration:
     overrides: Overrides
     own: OwnHeading
     writer: Writer | None = None
-    mobility: Mobility | None = None
+    mobility: Mobility = field(init=False)
     found: Found = field(default_factory=dict)
     rough: tuple[Change, ...] = ()
     restart: bool = False
@@ -229,9 +229,9 @@ class _Calibration:
         was 15 m away before its third quarter turn. In the air a yaw that jumps is worse than one that is
         off, and PX4 loads nothing while it is armed.
         """
-        desk, mobility = self.desk, self.mobility
+        desk = self.desk
         late = self.own.flying or desk.dialect.loads_disarmed or self.settings.writing == "never"
-        if len(windows) != 2 or late or mobility is None or not mobility.steers_astray:
+        if len(windows) != 2 or late or not self.mobility.steers_astray:
             return
         roughly = replace(self.settings, method="touch-up", max_heading_error_deg=_ROUGH_DEG)
         try:
@@ -376,7 +376,7 @@ class _Calibration:
             if settings.continuous and proof.passed:  # no turn waits for the autopilot to follow
                 yield from self.own.written(outcome.values)
         except Exception as why:
-            mover.halt(context)
+            self.mobility.halt()
             yield from writer.take_back(report, f"The proof was cut short ({why}).")
             raise
         report = replace(

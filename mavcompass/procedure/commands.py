@@ -126,13 +126,6 @@ class MessageRates:
     def _set(
         self, context: Context, kind: type[mav.Message], interval_us: int, tries: int = TRIES
     ) -> Script[MavResult]:
-        return (
-            yield from command(
-                context,
-                MavCmd.SET_MESSAGE_INTERVAL,
-                float(mav.message_id(kind)),
-                float(interval_us),
-                what=f"the rate of {kind.wire_name()}",
-                tries=tries,
-            )
-        )
+        number, numbers = MavCmd.SET_MESSAGE_INTERVAL, (mav.message_id(kind), interval_us)
+        what = f"the rate of {kind.wire_name()}"
+        return (yield from command(context, number, *numbers, what=what, tries=tries))

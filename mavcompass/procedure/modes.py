@@ -16,6 +16,7 @@ _PX4_LAND = 4 << 16 | 6 << 24
 # A vehicle that says nothing for so long is not asked any more.
 _SILENCE_S = 3.0
 _CHANGE_WITHIN_S = 5.0
+_BEATS_WITHIN_S = 1.5
 _GUIDED: dict[str, int] = {
     "rover": RoverMode.GUIDED,
     "boat": RoverMode.GUIDED,
@@ -113,8 +114,14 @@ class ModeKeeper:
         return (yield from self.go_to(context, mode))
 
     def restore(self, context: Context) -> Script[None]:
-        """Put the mode before the last change back, unless somebody else has chosen another since."""
+        """Put the mode before the last change back, unless somebody else has chosen another since.
+
+        The next heartbeat tells: a failsafe's reason may have come before what it does.
+        """
         mode = self.before.pop() if self.before else None
+        told, end_s = self.state.heartbeat, context.now + _BEATS_WITHIN_S
+        while mode is not None and self.state.heartbeat is told and context.now < end_s:
+            yield end_s
         if mode is not None and not self.is_foreign():
             yield from self.go_to(context, mode)
 

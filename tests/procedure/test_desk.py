@@ -149,4 +149,6 @@ def test_in_a_pilots_mode_only_the_pilots_controls_are_given_back(
     machine = Machine(lambda _: charge.mobility.end(True))
     machine.step(Tick(5.0))
     assert machine.done and context.watches == []
-    assert done == (["halt", "release"] if halts else ["release"])
+    if halts:  # whoever was silent then is told again
+        context.listeners[-1](mav.Incoming(6.0, 1, 1, mav.Heartbeat()))
+    assert done == (["halt", "release", "halt"] if halts else ["release"])

@@ -55,7 +55,7 @@ def test_motion_ends_within_a_second_everything_is_put_back_and_the_event_is_nam
     assert outcome.told == "done" or re.match(TOLD.get(event, "."), outcome.told), outcome.told
 
 
-@pytest.mark.parametrize("event", ["stick", "signal", "silence"])
+@pytest.mark.parametrize("event", ["stick", "signal", "silence", "battery"])
 @pytest.mark.parametrize("kind", ["boat", "sub", "ackermann-rover", "px4-copter"])
 def test_the_other_vehicles_stop_commanding_and_are_put_back_too(
     campaign: ModuleType, kind: str, event: str

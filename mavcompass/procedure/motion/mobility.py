@@ -134,15 +134,23 @@ class Mobility:
         """Tell whether the vehicle may stray as far again as it has."""
         return self._guard is None or 2.0 * self._guard.strayed_m < self._guard.room_m
 
+    def halt(self) -> None:
+        """End any motion for good; what may not have heard it is told again as soon as it speaks.
+
+        In a mode that somebody else chose our commands would only disturb, a mission for one; the pilot's
+        own controls are given back in any.
+        """
+        context, mover = self.desk.context, self.mover
+        if mover is not None and (self.turn_by != "auto" or not self._modes.is_foreign()):
+            mover.halt(context)
+            context.listeners.append(lambda _: mover.halt(context))
+
     def end(self, in_a_hurry: bool) -> Script[None]:
         """Stop any motion, end the watch, and give the vehicle back as it was taken."""
         context = self.desk.context
         context.watches.clear()
+        self.halt()
         if self.mover is not None:
-            # In a mode that somebody else chose our commands would only disturb, a mission for one;
-            # the pilot's own controls are given back in any.
-            if self.turn_by != "auto" or not self._modes.is_foreign():
-                self.mover.halt(context)
             yield from self.mover.release(context)
         if self._readiness is not None:
             yield from self._readiness.put_back(context, in_a_hurry)

@@ -73,16 +73,9 @@ class MotionGuard:
         """
         self._sticks = None
         self._place = self.state.place
-        for reason in (
-            self._pilot(),
-            self._power(),
-            self._estimator(),
-            self._posture(),
-            self._fence(),
-            self._too_low(),
-        ):
-            if reason is not None:
-                raise Refused(reason, "Nothing was moved or written.")
+        reason = self._unfit() or self._too_low()
+        if reason is not None:
+            raise Refused(reason, "Nothing was moved or written.")
 
     def hear(self, heard: mav.Incoming) -> None:
         """Learn the rhythm of the link: on slow telemetry silence is longer."""
@@ -105,14 +98,10 @@ class MotionGuard:
         if self.modes.is_foreign():
             to = mode_name(self.kind, self.modes.autopilot, self.state.mode)
             return f"The flight mode was changed to {to}.{self._why(now_s)}"
-        return (
-            self._pilot()
-            or self._power()
-            or self._estimator()
-            or self._posture()
-            or self._fence()
-            or self._strayed()
-        )
+        return self._unfit() or self._strayed()
+
+    def _unfit(self) -> str | None:
+        return self._pilot() or self._power() or self._estimator() or self._posture() or self._fence()
 
     def _why(self, now_s: float) -> str:
         """Return what the vehicle said in the last seconds, if anything: a failsafe names itself."""

@@ -27,6 +27,8 @@ _CLEARLY_RAD = math.radians(10.0)  # so much nearer the other way is worth a cha
 _POLL_S = 0.1
 # A prompt that changes faster than this cannot be read.
 _READABLE_S = 0.4
+# What has been silent for so long may not hear us, either.
+_UNHEARD_S = 0.5
 # Telemetry that is silent for this long leaves the person without a guide.
 _SILENCE_S = 5.0
 # More than a vehicle swings back that was held; and why.
@@ -192,9 +194,9 @@ class VehicleMover(Mover):
             self.strategies[self._current].hold(context)
 
     def halt(self, context: Context) -> None:
-        """Halt by every strategy that was used; once, until the next turn."""
+        """Halt by every strategy that was used; once, until the next turn, where the vehicle can hear it."""
         if self._moving:
-            self._moving = False
+            self._moving = context.now - context.heard_s > _UNHEARD_S
             for strategy in self._all_used():
                 strategy.halt(context)
 
