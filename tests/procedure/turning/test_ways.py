@@ -156,7 +156,7 @@ def test_a_yaw_step_is_relative_and_no_farther_than_what_is_left_or_ends_in_time
 
 @pytest.mark.parametrize(
     ("rate_deg_s", "left_deg", "heading_deg"),
-    [(36.0, 90.0, 20.6), (-36.0, 90.0, 319.4), (36.0, 4.0, 354.0), (36.0, -4.0, 350.0)],
+    [(36.0, 90.0, 8.8), (-36.0, 90.0, 331.2), (36.0, 4.0, 354.0), (36.0, -4.0, 350.0)],
 )
 def test_a_yaw_step_may_be_told_as_a_heading_the_shorter_way(
     rate_deg_s: float, left_deg: float, heading_deg: float

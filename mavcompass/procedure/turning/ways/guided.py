@@ -14,6 +14,8 @@ from mavcompass.procedure.vehicle_state import VehicleState
 
 # Far from half a turn, beyond which it would be the other way round.
 _FARTHEST_RAD = math.radians(90.0)
+# So long ago, at most, the heading was true that the autopilot told last: at 10 Hz, over a link.
+_TOLD_LATE_S = 0.3
 # CONDITION_YAW's own words, and the step by which it is repeated.
 _STEP_RAD, _RELATIVE, _ABSOLUTE, _SHORTER = math.radians(8.0), 1.0, 0.0, 0.0
 # SET_ATTITUDE_TARGET's type_mask: only the yaw rate and the thrust count.
@@ -115,9 +117,9 @@ class YawStep(Steer):
     def turn(self, context: Context, rate_radps: float, left_rad: float) -> None:
         """Turn on by a step, at the rate; not farther than what is left, or than it turns in time."""
         in_time_rad = abs(rate_radps) * (self.ends_within_s - RUNS_ON_S)
-        # A heading is told by one that was true a tenth of a second ago: a small step would stop and go.
-        step_rad = in_time_rad if self.own is not None else min(_STEP_RAD, in_time_rad)
-        self._command(context, min(step_rad, max(left_rad, 0.0)), rate_radps)
+        late_rad = 0.0 if self.own is None else abs(rate_radps) * _TOLD_LATE_S
+        step_rad = min(_STEP_RAD + late_rad, in_time_rad, max(left_rad, 0.0))
+        self._command(context, step_rad, rate_radps)
 
     def stand(self, context: Context) -> None:
         """Do nothing: the last step ends by itself and the autopilot holds its yaw."""
