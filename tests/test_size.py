@@ -14,14 +14,14 @@ LINES = {
     "package simulation": (7_897, 5_800),
     "package attitude calibration heading": (9_099, 5_400),
     "package vehicle messages enums.py": (7_732, 5_200),
-    "package procedure": (6_451, 4_400),
+    "package procedure": (6_449, 4_400),
     "package service": (5_278, 4_100),
     "package logs": (4_475, 3_600),
     "package cli": (4_008, 2_900),
-    "package": (65_802, 46_500),
-    "tests": (41_803, 29_000),
+    "package": (65_800, 46_500),
+    "tests": (41_804, 29_000),
     "scripts benchmarks/compassbench": (1_555, 1_000),
-    "scripts": (9_771, 4_400),
+    "scripts": (9_777, 4_400),
 }
 
 

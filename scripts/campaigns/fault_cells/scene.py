@@ -270,7 +270,8 @@ class WatchedLink(SimulatedLink):
                 scene.read_s[name] = self.now()
             case ParamSet(param_id=name):
                 scene.wrote.add(name)
-        if (lasts_s := ordered_s(carried.message)) is not None:
+        own_deg = math.degrees(self.autopilot.firmware.board.filter.yaw_rad)
+        if (lasts_s := ordered_s(carried.message, own_deg)) is not None:
             mode = scene.order[0] or (self.autopilot.firmware.status.mode if lasts_s else "")
             scene.order = mode, self.now() + lasts_s
             scene.commanded_s = self.now() if lasts_s else scene.commanded_s
@@ -289,9 +290,14 @@ class WatchedLink(SimulatedLink):
             scene.stood_s = now_s
 
 
-def ordered_s(message: Message) -> float | None:
-    """Return for how long a message has the vehicle turn, 0 to stand; None where it says nothing of that."""
+def ordered_s(message: Message, own_deg: float) -> float | None:
+    """Return for how long a message has the vehicle turn, 0 to stand; None where it says nothing of that.
+
+    `own_deg` is the autopilot's own heading.
+    """
     match message:
+        case CommandLong(command=115, param1=heading_deg, param2=rate_deg_s, param4=0.0):
+            return abs((heading_deg - own_deg + 180.0) % 360.0 - 180.0) / rate_deg_s
         case CommandLong(command=115, param1=angle_deg, param2=rate_deg_s):
             return angle_deg / rate_deg_s
         case SetPositionTargetLocalNed(yaw_rate=rate, type_mask=mask):

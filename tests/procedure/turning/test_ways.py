@@ -156,17 +156,18 @@ def test_a_yaw_step_is_relative_and_no_farther_than_what_is_left_or_ends_in_time
 
 @pytest.mark.parametrize(
     ("rate_deg_s", "left_deg", "heading_deg"),
-    [(36.0, 90.0, 8.8), (-36.0, 90.0, 331.2), (36.0, 4.0, 354.0), (36.0, -4.0, 350.0)],
+    [(36.0, 90.0, 8.8), (-36.0, 90.0, 331.2), (36.0, 12.0, 2.0)],
 )
 def test_a_yaw_step_may_be_told_as_a_heading_the_shorter_way(
     rate_deg_s: float, left_deg: float, heading_deg: float
 ) -> None:
     """By the autopilot's own heading, 350 deg: what it aims at may lag behind that by any angle."""
     steer = YawStep(own=VehicleState(attitude=mav.Attitude(yaw=-10.0 * DEG)))
-    (held,) = sent_after(steer)
-    for message, told in ((sent(steer, rate_deg_s, left_deg), heading_deg), (held, 350.0)):
-        assert isinstance(message, mav.CommandLong)
-        assert (message.param1, message.param3, message.param4) == pytest.approx((told, 0.0, 0.0))
+    message = sent(steer, rate_deg_s, left_deg)
+    assert isinstance(message, mav.CommandLong)
+    assert (message.param1, message.param3, message.param4) == pytest.approx((heading_deg, 0.0, 0.0))
+    assert sent(steer, rate_deg_s, 4.0) == sent(YawStep(), rate_deg_s, 4.0)
+    assert sent_after(steer) == sent_after(YawStep())
 
 
 @pytest.mark.parametrize("by_heading", [True, False])

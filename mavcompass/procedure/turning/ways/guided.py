@@ -16,8 +16,8 @@ from mavcompass.procedure.vehicle_state import VehicleState
 _FARTHEST_RAD = math.radians(90.0)
 # So long ago, at most, the heading was true that the autopilot told last: at 10 Hz, over a link.
 _TOLD_LATE_S = 0.3
-# CONDITION_YAW's own words, and the step by which it is repeated.
-_STEP_RAD, _RELATIVE, _ABSOLUTE, _SHORTER = math.radians(8.0), 1.0, 0.0, 0.0
+# CONDITION_YAW's own words, the step by which it is repeated, and the rate at which what is left is gone.
+_STEP_RAD, _RELATIVE, _ABSOLUTE, _SHORTER, _LET_GO_DEG_S = math.radians(8.0), 1.0, 0.0, 0.0, 30.0
 # SET_ATTITUDE_TARGET's type_mask: only the yaw rate and the thrust count.
 _RATE_AND_THRUST = 0x83
 
@@ -117,24 +117,22 @@ class YawStep(Steer):
     def turn(self, context: Context, rate_radps: float, left_rad: float) -> None:
         """Turn on by a step, at the rate; not farther than what is left, or than it turns in time."""
         in_time_rad = abs(rate_radps) * (self.ends_within_s - RUNS_ON_S)
-        late_rad = 0.0 if self.own is None else abs(rate_radps) * _TOLD_LATE_S
-        step_rad = min(_STEP_RAD + late_rad, in_time_rad, max(left_rad, 0.0))
-        self._command(context, step_rad, rate_radps)
+        late_rad, step_rad = abs(rate_radps) * _TOLD_LATE_S, min(_STEP_RAD, in_time_rad, max(left_rad, 0.0))
+        rate_deg_s, sign = math.degrees(abs(rate_radps)), math.copysign(1.0, rate_radps)
+        # What is nearer than the heading is late by is told best by what it aims at.
+        if self.own is None or self.own.attitude is None or left_rad <= late_rad:
+            context.command(MavCmd.CONDITION_YAW, math.degrees(step_rad), rate_deg_s, sign, _RELATIVE)
+        else:
+            ahead_rad = min(step_rad + late_rad, in_time_rad, left_rad)
+            heading_deg = math.degrees(self.own.attitude.yaw + sign * ahead_rad) % 360.0
+            context.command(MavCmd.CONDITION_YAW, heading_deg, rate_deg_s, _SHORTER, _ABSOLUTE)
 
     def stand(self, context: Context) -> None:
         """Do nothing: the last step ends by itself and the autopilot holds its yaw."""
 
     def let_go(self, context: Context) -> None:
-        """Hold the present yaw."""
-        self._command(context, 0.0, math.radians(30.0))
-
-    def _command(self, context: Context, angle_rad: float, rate_radps: float) -> None:
-        rate_deg_s, sign = math.degrees(abs(rate_radps)), math.copysign(1.0, rate_radps)
-        if self.own is None or self.own.attitude is None:
-            context.command(MavCmd.CONDITION_YAW, math.degrees(angle_rad), rate_deg_s, sign, _RELATIVE)
-        else:
-            heading_deg = math.degrees(self.own.attitude.yaw + sign * angle_rad) % 360.0
-            context.command(MavCmd.CONDITION_YAW, heading_deg, rate_deg_s, _SHORTER, _ABSOLUTE)
+        """Hold what it aims at."""
+        context.command(MavCmd.CONDITION_YAW, 0.0, _LET_GO_DEG_S, 1.0, _RELATIVE)
 
 
 WAYS: dict[str, Builder] = {
