@@ -58,7 +58,7 @@ def _ends(values: FloatArray, step: float) -> Iterator[_End]:
         highest = float(shown[finite].max(initial=-np.inf))
         below = np.floor((highest - shown) / step + 1e-6)
         # So few are chance: no need to look which of them are repeated.
-        if (below == 0.0).sum() <= _CHANCE_SIGMAS:
+        if (below == 0.0).sum() <= _HINT_SIGMAS**2:
             continue
         if once is None:
             once = np.flatnonzero(finite)[np.unique(values[finite], axis=0, return_index=True)[1]]

@@ -1,8 +1,8 @@
 """The numbers of the diagnosis, as data: what decides, and what is usual before a recording says more.
 
-What decides, `params/gap/criterion.json`, is made by `scripts/learn_gap` from simulated vehicles, healthy and
-not, by makers that share no code; the file says which, and with which seeds. What is usual is in
-`params/gap/usual.toml`. Nothing in either is fitted on the recording in hand.
+What decides, `params/gap/criterion.json`, is made by `scripts/campaigns/learn_gap.py` from simulated
+vehicles, healthy and not, by makers that share no code; the file says which, and with which seeds. What is
+usual is in `params/gap/usual.toml`. Nothing in either is fitted on the recording in hand.
 """
 
 from __future__ import annotations
