@@ -304,13 +304,11 @@ class _Calibration:
         return replace(report, results=tuple(results))
 
     def wants_more(self, report: CalibrationReport, mover: Mover) -> bool:
-        """Tell whether further positions are worth their time: a person is not asked for them.
+        """Tell whether further positions are worth their time.
 
-        Nor is what has strayed so far that it would be stopped, and nothing written (a sub with 240 mG of
-        iron: within 0.4 deg after four positions, 15 m away before the seventh).
+        A person is not asked for them; what has strayed that far may be stopped, and lose what it has.
         """
-        may_go_on = mover.by_itself and (self.mobility is None or self.mobility.has_room)
-        if not may_go_on or len(report.windows) >= self.settings.at_most:
+        if not (mover.by_itself and self.mobility.has_room) or len(report.windows) >= self.settings.at_most:
             return False
         # One that is mounted turned is as sure as it will be once that is set right.
         as_mounted = (result.mounting.mended or result for result in report.results)

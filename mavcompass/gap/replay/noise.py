@@ -72,6 +72,8 @@ class SensorNoise:
 
         Columns (N, 1, K) belong to every channel.
         """
+        if not self.begins.size:
+            return self._in_a_piece(columns)
         out = np.concatenate([self._in_a_piece(piece) for piece in np.split(columns, self.begins)])
         out[self.begins] = columns[self.begins] * (self.sigma / self.rms)[:, None]
         return out
