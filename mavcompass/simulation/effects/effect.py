@@ -45,22 +45,26 @@ GROUPS: tuple[Group, ...] = ("mag", "acc", "gyro")
 
 
 class Stage(IntEnum):
-    """Order the effects from the world to the number that is logged."""
+    """Order the effects from the world to the number that is logged.
+
+    `IRON` around the sensor bends the field before the sensor's own `MATRIX` does.
+    """
 
     ATTITUDE = 0
     WORLD = 1
     HULL = 2
-    MATRIX = 3
-    FIELD = 4
-    MOUNTING = 5
-    TIMING = 6
-    SENSOR = 7
-    IMU = 8
+    IRON = 3
+    MATRIX = 4
+    FIELD = 5
+    MOUNTING = 6
+    TIMING = 7
+    SENSOR = 8
+    IMU = 9
 
 
 # Stages whose effects change each reading of the compass by itself, without its neighbours; those of `FIELD`
 # add to it what does not depend on it.
-EACH_BY_ITSELF = frozenset({Stage.MATRIX, Stage.FIELD, Stage.MOUNTING})
+EACH_BY_ITSELF = frozenset({Stage.IRON, Stage.MATRIX, Stage.FIELD, Stage.MOUNTING})
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,7 +34,7 @@ EFFECTS = (
     Effect(
         id="soft_iron",
         title="magnetisable material around the sensor",
-        stage=Stage.MATRIX,
+        stage=Stage.IRON,
         parameters=(
             *axes(-0.5, 0.5, (0.06, -0.05, 0.02), 0.03, "1", ("xx", "yy", "zz")),
             *axes(-0.3, 0.3, (0.04, -0.02, 0.03), 0.03, "1", ("xy", "xz", "yz")),
