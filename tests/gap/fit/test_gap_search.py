@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mavcompass.gap.fit.hypothesis import Fit, Term
+from mavcompass.gap.fit.hypothesis import Fit, Term, make_term
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.search import Search, nuisances_at_prior
 from mavcompass.gap.replay.nominal import replay
@@ -107,6 +107,21 @@ def test_a_turn_that_leaves_nothing_is_found_without_a_second_look_at_others(
     assert one.run().ids == {e.effect.id for e in effects}
     # A lag hides how well a turn does by itself: others are looked at to the end.
     assert [times for first, times in looks if not first] == [4 if beside else 1]
+
+
+@pytest.mark.parametrize("beside", ["", "transport_lag:lag_s=0.3"])
+@pytest.mark.parametrize("off_s", [0.3, -0.4])
+def test_a_moment_of_change_is_found_to_the_reading(beside: str, off_s: float) -> None:
+    """No derivative leads there, and beside a lag no first guess: readings tell it later than it was."""
+    step = parse("hard_iron_step:x=9,y=-6,on_s=21.15")
+    effects = [step, *([parse(beside)] if beside else [])]
+    replayed = replay(make_track(Recipe("rich", duration_s=60.0, rate_hz=10.0, seed=6), effects))
+    problem = Problem(replayed, CASE_NOISE, replayed.valid, replayed.prior)
+    start = problem.null()
+    for setting in effects:
+        start = start.beside(make_term(setting.effect, replayed.signals), setting.theta)
+    late = start.changed(0, start.terms[0], step.theta + off_s * np.eye(5)[3])
+    assert Search(problem, ()).polished(late).thetas[0][3] == pytest.approx(21.15, abs=0.051)
 
 
 def test_nuisances_alone_begin_where_another_problem_has_them_as_far_as_it_does() -> None:
