@@ -184,7 +184,7 @@ def _explained(
     remainder = residual_of(identified, floor, names, detected)
     found = remainder.scatter
     expected = found is not None and found.white if white > 0.0 else found is None
-    if expected or (white == 0.0 and not identified.fit.terms):
+    if expected:
         return identified, remainder, floor
     # Extra scatter makes every gain look larger than it is: choose again under it.
     noisy = replace(floor, noise=remainder.problem.noise)
