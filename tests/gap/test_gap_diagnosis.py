@@ -216,6 +216,18 @@ def shaken(track: Track, seed: int) -> Track:
     return replace(track, acc_mps2=moved)
 
 
+def test_a_gyro_that_counts_for_less_blames_nothing_else_for_its_own_bias(baseline: Track) -> None:
+    def seen(track: Track) -> Track:
+        assert track.gyro_radps is not None
+        turned, values = track.gyro_radps, track.gyro_radps.values
+        off = 0.004 + 0.003 * np.sin(3.0 * turned.time_s)[:, None] * np.abs(values)
+        return replace(track, gyro_radps=Series.of(turned.time_s, values + off))
+
+    diagnosis = diagnose_gap(seen(make_track(RICH, [effects.parse("hard_iron:x=40")])), seen(baseline))
+    assert any("The gyro" in note and "counts for less" in note for note in diagnosis.notes)
+    assert diagnosis.effects == {"hard_iron"} and diagnosis.verdict == "named"
+
+
 def test_accelerometer_that_feels_unknown_motion_still_tells_tilt_from_dip(baseline: Track) -> None:
     """The compass alone cannot tell a platform that is not level from a field that dips elsewhere."""
     fault = [effects.parse("platform_tilt:about_north=0,about_east=0.025")]

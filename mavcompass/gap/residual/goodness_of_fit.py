@@ -263,15 +263,15 @@ def doubting(
     """Let sensors that the simulation cannot explain, here or in the baseline, count for less in both."""
     never = untestable_effects(replayed, effects)
     doubtful = _doubtful(replayed, [e for e in effects if e.id not in never])
+    # What a motion makes an accelerometer feel is no cause that would come again.
+    steady = [e for e in effects if e.groups != ("acc",) or not e.needs - {"reference"}]
     if baseline is not None:
         never = untestable_effects(baseline, effects)
-        # What a baseline's motion makes its accelerometer feel is no cause that would come again.
-        steady = [e for e in effects if e.groups != ("acc",) or not e.needs - {"reference"}]
         there = _doubtful(baseline, [e for e in steady if e.id not in never])
         useless = _useless(doubtful) | _useless(there)
-        baseline = _with_doubt(baseline, doubtful | there, useless)
-        return _with_doubt(replayed, doubtful | there, useless), baseline
-    return _with_doubt(replayed, doubtful, _useless(doubtful)), None
+        baseline = _with_doubt(baseline, doubtful | there, useless, steady)
+        return _with_doubt(replayed, doubtful | there, useless, steady), baseline
+    return _with_doubt(replayed, doubtful, _useless(doubtful), steady), None
 
 
 def _doubtful(witness: Replay, effects: Sequence[Effect]) -> dict[Group, SensorNoise]:
@@ -299,7 +299,9 @@ def _useless(doubtful: Mapping[Group, SensorNoise]) -> set[Group]:
     return {g for g, noise in doubtful.items() if float(noise.rms.mean()) > usual.baseline.useless[g]}
 
 
-def _with_doubt(replayed: Replay, doubtful: Mapping[Group, SensorNoise], useless: set[Group]) -> Replay:
+def _with_doubt(
+    replayed: Replay, doubtful: Mapping[Group, SensorNoise], useless: set[Group], steady: Sequence[Effect]
+) -> Replay:
     notes = tuple(
         f"The {_SENSOR_WORDS[g]} does not fit the reference in detail:"
         f" {'left out' if g in useless else 'it counts for less'}."
@@ -308,4 +310,7 @@ def _with_doubt(replayed: Replay, doubtful: Mapping[Group, SensorNoise], useless
     )
     kept = tuple(g for g in replayed.groups if g not in useless)
     doubts = {g: noise for g, noise in doubtful.items() if g not in useless}
-    return replace(replayed, groups=kept, doubtful=doubts, notes=(*replayed.notes, *notes))
+    # The noise is that beside the sensor's own errors: these no other cause may be blamed for.
+    own = (Prior.of(e, e.neutral(), e.scale) for e in steady if set(e.groups) <= doubts.keys())
+    prior = replayed.prior.beside(*own)
+    return replace(replayed, groups=kept, doubtful=doubts, prior=prior, notes=(*replayed.notes, *notes))
