@@ -189,10 +189,13 @@ def replay(
             swings = swings[picked] @ np.linalg.inv(iron.matrix).T
             corrected = averaged(corrected, rows.width)[picked] + swings
         usable = np.asarray(np.isfinite(raw).all(axis=1) & unbroken(rows.time_s, rows.width))
-    acc = column(track.acc_mps2, time_s, rows.width)
-    gyro = column(track.gyro_radps, time_s, rows.width)
-    measured = Reading(raw, acc, gyro)
     nominal = ideal(stimulus)
+    # A mean with what turning adds to the middle is a reading of it.
+    acc, gyro = (
+        column(series, time_s, rows.width, rows.time_s) + (every - averaged(every, rows.width))[picked]
+        for series, every in ((track.acc_mps2, _at_rest(whole)), (track.gyro_radps, whole.rate_radps))
+    )
+    measured = Reading(raw, acc, gyro)
     independent = reference.kind == "columns"
     about = goes_about(position, reference)
     present = present_in(stimulus, reference, about, reference.known & usable)
@@ -244,6 +247,11 @@ def replay(
     )
 
 
+def _at_rest(reference: Reference) -> FloatArray:
+    """Return the specific force of what does not accelerate, (N, 3)."""
+    return reference.rotation[:, 2, :] * -STANDARD_GRAVITY_MPS2
+
+
 def _compass(track: Track, instance: int) -> MagSeries:
     if instance not in track.compasses:
         have = ", ".join(str(i) for i in sorted(track.compasses)) or "none"
@@ -282,7 +290,7 @@ def _stimulus(
         rotation=reference.rotation,
         field_ned_mgauss=np.tile(field, (n, 1)),
         rate_radps=reference.rate_radps,
-        specific_force_mps2=reference.rotation[:, 2, :] * -STANDARD_GRAVITY_MPS2,
+        specific_force_mps2=_at_rest(reference),
         position_ned_m=column(position, time_s),
         velocity_ned_mps=column(track.gps_velocity_mps, time_s),
         # What a load adds is averaged as the readings are.

@@ -22,9 +22,29 @@ def position_of(track: Track, reference: Reference) -> Series | None:
     """Return the best position there is: measured, or the receiver's where the vehicle goes far enough."""
     measured = track.position_ned_m
     if measured is not None and len(measured) > 1:
-        return measured
+        return without_scatter(measured)
     received = local_position(track.place)
-    return received if received is not None and goes_about(received, reference) else None
+    if received is None or not goes_about(received, reference):
+        return None
+    return without_scatter(received)
+
+
+def without_scatter(position: Series) -> Series:
+    """Return a path without what scatters from place to place, which no mass does.
+
+    Parabolas are fitted to neighbours (Savitzky and Golay, Analytical Chemistry 36, 1964), fewer of them
+    until what is left does not go on from one to the next: where it does, it is the path's own.
+    """
+    half = int(usual.receiver.smooth_s / max(float(np.median(np.diff(position.time_s))), 1e-3))
+    while 2 <= half < len(position) // 2:
+        weights = np.linalg.pinv(np.vander(np.arange(-half, half + 1.0), 3, increasing=True))[0]
+        padded = np.pad(position.values, ((half, half), (0, 0)), mode="reflect", reflect_type="odd")
+        smooth = np.stack([np.convolve(axis, weights, "valid") for axis in padded.T], axis=1)
+        left = position.values - smooth
+        if np.sum(left[1:] * left[:-1]) <= 0.0:
+            return Series.of(position.time_s, smooth)
+        half //= 2
+    return position
 
 
 def goes_about(position: Series | None, reference: Reference) -> bool:
@@ -148,12 +168,17 @@ def every_s(*series: Series | None) -> float:
     )
 
 
-def column(series: Series | None, time_s: FloatArray, width: int = 1) -> FloatArray:
-    """Return what was recorded of a vector at some times (N,), averaged as the readings are, (N, 3)."""
+def column(
+    series: Series | None, time_s: FloatArray, width: int = 1, clock: FloatArray | None = None
+) -> FloatArray:
+    """Return what was recorded of a vector at some times (N,), (N, 3); where readings are averaged over some
+    `width` of their `clock`, means that are as wide: their times vary by as much."""
     if series is None or len(series) < 2:
         return np.full((time_s.size, 3), np.nan)
-    if width > 1 and np.isfinite(series.values).all():
-        series = Series.of(series.time_s, averaged(series.values, width))
+    if width > 1 and clock is not None and np.isfinite(series.values).all():
+        finer = float(np.median(np.diff(clock)) / np.median(np.diff(series.time_s)))
+        as_wide = 2 * int(0.5 * math.sqrt(1.0 + (width**2 - 1.0) * finer**2)) + 1
+        series = Series.of(series.time_s, averaged(series.values, as_wide))
     return np.ascontiguousarray(series.at(time_s))
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
 from mavcompass.gap import diagnose_gap
@@ -16,6 +17,7 @@ from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.replay.nominal import Replay, replay, untestable_effects
 from mavcompass.gap.replay.nuisance import WORLD_FIELD, Prior, reference_attitude_error
 from mavcompass.gap.replay.rows import compass_rows
+from mavcompass.gap.replay.surroundings import without_scatter
 from mavcompass.gap.residual.floor import from_recording, with_predictive_variance
 from mavcompass.gap.selection.split import split_blocks
 from mavcompass.gap.trial.cases import PLACE, Recipe, make_track
@@ -167,3 +169,16 @@ def test_field_of_a_replay_is_that_of_the_place() -> None:
     nominal = rotate_back(replayed.signals.stimulus.rotation, replayed.signals.stimulus.field_ned_mgauss)
     error = replayed.measured.mag_mgauss - nominal
     assert np.abs(error.mean(axis=0)).max() < 0.5 and 2.5 < error.std() < 3.5
+
+
+def test_what_scatters_from_place_to_place_is_no_motion_and_what_lasts_is_none_of_its_scatter() -> None:
+    t, rng = np.arange(0.0, 60.0, 0.1), np.random.default_rng(4)
+    path = np.stack([4.0 * np.sin(0.5 * t), 3.0 * np.cos(0.4 * t), -5.0 - 0.02 * t**2], axis=1)
+    white = 0.01 * rng.standard_normal(path.shape)
+    smooth = without_scatter(Series.of(t, path + white)).values
+    assert (smooth - path).std() < 0.5 * white.std()
+    # A receiver's errors last: they stay, and what is not noise is not touched.
+    lasting = lfilter([0.02], [1.0, -0.98], rng.standard_normal(path.shape), axis=0)
+    assert (without_scatter(Series.of(t, path + lasting)).values - path).std() < 1.02 * lasting.std()
+    for told in (path, np.where(t[:, None] < 30.0, path, np.nan)):
+        np.testing.assert_array_equal(without_scatter(Series.of(t, told)).values, told)

@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from mavcompass.errors import BadRecording
-from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back
+from mavcompass.frames import (
+    FloatArray,
+    euler_to_matrix,
+    euler_to_quaternion,
+    matrix_to_euler,
+    rotate_back,
+)
 from mavcompass.gap.attitude.kinematics import averaged
 from mavcompass.gap.attitude.reference import Reference, body_rate
 from mavcompass.gap.fit.model import Problem
@@ -61,6 +67,27 @@ def test_a_mean_with_its_swing_is_a_reading_of_its_middle(
     off = np.abs(mean + swings - raw)[picked][inner]
     assert float(np.sqrt(np.mean(off**2))) < 0.06 * float(np.sqrt(np.mean((mean - raw)[picked][inner] ** 2)))
     assert told_s == pytest.approx(late_s, abs=0.011)
+
+
+@pytest.mark.parametrize("step_s", [0.1, 0.025, 0.01])
+def test_means_of_gyro_and_accelerometer_are_readings_of_a_rows_middle_however_often_they_come(
+    step_s: float,
+) -> None:
+    t = np.arange(0.0, 60.0, step_s)
+    rotation = attitude(t)
+    felt = rotate_back(rotation, np.tile([0.0, 0.0, -9.80665], (t.size, 1)))
+    track = Track(
+        compasses={1: MagSeries(1, Series.of(T, seen(T)))},
+        gyro_radps=Series.of(t, body_rate(t, rotation)),
+        acc_mps2=Series.of(t, felt),
+        reference_q=Series.of(t, np.array([euler_to_quaternion(*matrix_to_euler(r)) for r in rotation])),
+    )
+    rows = replay(track, period_s=0.3)
+    assert rows.averaged == 3
+    inner, nominal = slice(3, -3), rows.signals.reading
+    turning = nominal.gyro_radps[inner].std()
+    assert (rows.measured.gyro_radps - nominal.gyro_radps)[inner].std() < 0.005 * turning
+    assert (rows.measured.acc_mps2 - nominal.acc_mps2)[inner].std() < 0.005
 
 
 @pytest.mark.parametrize("width", [3, 5])

@@ -7,6 +7,7 @@ import pytest
 
 from mavcompass.gap.diagnose import diagnose_gap
 from mavcompass.gap.replay.nominal import replay
+from mavcompass.gap.trial.cases import Generator, case_of
 from mavcompass.gap.trial.vehicles import make_case
 from mavcompass.simulation.effects import catalogue
 
@@ -27,19 +28,25 @@ def test_motors_that_reverse_work_either_way_and_switch_by_their_direction() -> 
 
 
 @pytest.mark.parametrize(
-    ("seed", "effect", "sure", "within"),
+    ("maker", "seed", "effect", "sure", "within"),
     [
-        (305923872, "stale_samples", False, {}),  # they scatter no more than the like of the baseline
-        (525895344, "stale_samples", False, {}),  # less than 60 readings are new
+        ("vehicles", 305923872, "stale_samples", False, {}),  # they scatter no more than in the baseline
+        ("vehicles", 525895344, "stale_samples", False, {}),  # less than 60 readings are new
         # A reference a degree below all that was recorded.
-        (212410973, "temperature_bias", True, {"reference_degc": 0.5, "x": 0.18}),
+        ("vehicles", 212410973, "temperature_bias", True, {"reference_degc": 0.5, "x": 0.18}),
         # The rows about it are set aside.
-        (2116634633, "hard_iron_step", True, {"on_s": 0.2, "x": 1.0, "y": 1.0, "z": 1.0}),
-        (304241175, "set_reset_offset", True, {}),  # averaged rows hide it
+        ("vehicles", 2116634633, "hard_iron_step", True, {"on_s": 0.2, "x": 1.0, "y": 1.0, "z": 1.0}),
+        ("vehicles", 304241175, "set_reset_offset", True, {}),  # averaged rows hide it
+        ("another", 979059, "hard_iron_step", True, {"on_s": 0.05}),  # one reading was on its wrong side
+        ("another", 979022, "soft_iron", True, {"xy": 0.002}),  # before the oblique axes that are in force
+        ("another", 979047, "soft_iron", True, {"xz": 0.002}),  # means of a gyro that swings
+        ("another", 979083, "noise_excess", True, {"sigma_mgauss": 0.2}),  # nothing else is there
     ],
 )
-def test_what_was_put_in_is_named(seed: int, effect: str, sure: bool, within: dict[str, float]) -> None:
-    case = make_case(seed, "single")
+def test_what_was_put_in_is_named(
+    maker: Generator, seed: int, effect: str, sure: bool, within: dict[str, float]
+) -> None:
+    case = case_of(maker, "single", seed)
     ((name, truth),) = case.effects
     found = diagnose_gap(case.track, case.baseline)
     assert name == effect and found.effects == {effect}
