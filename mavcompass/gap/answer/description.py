@@ -74,7 +74,7 @@ def _belief(problem: Problem, weight: float, fit: Fit) -> PosteriorComponent:
     kept = np.flatnonzero(np.array(rows, dtype=np.int64) >= 0)
     places = np.array(rows, dtype=np.int64)[kept]
     covariance[np.ix_(places, places)] = problem.lasting_covariance(fit)[np.ix_(kept, kept)]
-    from_usual = _from_no_load(mean.size, float(problem.replay.iron.load.mean()))
+    from_usual = _from_no_load(mean.size, problem.replay.iron.usual_load)
     return PosteriorComponent(
         weight,
         tuple(term.effect.id for term in fit.terms),

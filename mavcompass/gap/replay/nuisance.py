@@ -200,11 +200,13 @@ class KnownIron(Iron):
     Attributes:
         correction: the calibration, as the autopilot has it in force.
         load: the motor load at the rows, (N,), zeros where there is none; source: what it is.
+        usual_load: what is not known of the motors counts from there, so that the offset stays the offset.
     """
 
     correction: FieldCorrection
     load: FloatArray
     source: MotorSource = "none"
+    usual_load: float = 0.0
 
     @property
     def calibrated(self) -> bool:
@@ -241,9 +243,7 @@ class KnownIron(Iron):
 
     def effects(self) -> tuple[Effect, Effect]:
         """Return the matrix, and the offset with the motors' field, by what they are more than known."""
-        # What is not known of the motors counts from their usual load: the offset stays the offset.
-        motors = self.load[:, None] * self.motor_mgauss
-        unusual = self.load - self.load.mean() if self.load.size else self.load
+        motors, unusual = self.load[:, None] * self.motor_mgauss, self.load - self.usual_load
 
         def bent(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
             matrix = self.matrix @ (np.eye(3) + theta.reshape(3, 3))
@@ -269,7 +269,8 @@ def known_iron(correction: FieldCorrection, load: FloatArray, source: MotorSourc
     """Read a calibration backwards; `load` (N,) is the motor load that its motor term goes with."""
     matrix = correction.inverse
     motor = np.asarray(-matrix @ np.asarray(correction.motor_mgauss), dtype=np.float64)
-    return KnownIron(matrix, -np.asarray(correction.offsets_mgauss), motor, correction, load, source)
+    usually = float(load.mean()) if load.size else 0.0
+    return KnownIron(matrix, -np.asarray(correction.offsets_mgauss), motor, correction, load, source, usually)
 
 
 def load_of(

@@ -246,6 +246,10 @@ def _daily(
     if nuisance == TELEMETRY_AGE:
         waiting_s = _BOUNDED * max(_waiting_s(replay), _waiting_s(baseline))
         return np.hypot(daily, np.minimum(waiting_s, usual.baseline.waiting * np.abs(mean + replay.late_s)))
+    if nuisance == IRON_OFFSET:
+        # A field of the motors is as many mG over the loads that there were.
+        over = float(np.ptp(np.concatenate([replay.iron.load, baseline.iron.load])))
+        daily = daily * np.concatenate([np.ones(3), np.full(mean.size - 3, 1.0 / max(over, 1e-6))])
     # An iron that nobody measured but this baseline takes all its errors with it.
     return usual.baseline.unmeasured * daily if trust is ANOTHER_IRON else daily
 

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from mavcompass.gap.diagnose import diagnose_gap
 from mavcompass.gap.replay.nominal import replay
 from mavcompass.gap.replay.rows import reading_times
 from mavcompass.gap.residual.baseline import _waiting_s
 from mavcompass.gap.residual.floor import heading_error_rad, heading_scatter, rms
+from mavcompass.gap.trial.cases import Recipe, make_track
 from mavcompass.gap.trial.vehicles import make_case
+from mavcompass.simulation.effects import parse
+from mavcompass.track import Series, Track
 
 PERIOD_S, SPAN_S = 0.1, 120.0
 
@@ -65,6 +70,19 @@ def test_few_readings_tell_nothing_of_how_they_wait() -> None:
         readings=SimpleNamespace(time_s=np.arange(5.0)),
     )
     assert _waiting_s(few) == 0.0
+
+
+def test_a_field_of_the_motors_that_a_baseline_flew_with_is_no_gap_at_another_load() -> None:
+    def flown(seed: int, more_a: float) -> Track:
+        track = make_track(Recipe(duration_s=60.0, seed=seed), [parse("motor_current:x=2,y=-1.5,z=1")])
+        assert track.current_a is not None
+        compass, current = track.compasses[1], track.current_a
+        raw = compass.reported.values + more_a * np.array([2.0, -1.5, 1.0])
+        compass = replace(compass, reported=Series.of(compass.time_s, raw))
+        more = Series.of(current.time_s, current.values + more_a)
+        return replace(track, compasses={1: compass}, current_a=more)
+
+    assert diagnose_gap(flown(1, 12.0), flown(2, 0.0)).verdict == "no_gap"
 
 
 @pytest.mark.parametrize("seed", [41, 304241175])
