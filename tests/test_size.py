@@ -14,14 +14,14 @@ LINES = {
     "package simulation": (7_901, 5_800),
     "package attitude calibration heading": (9_099, 5_400),
     "package vehicle messages enums.py": (7_732, 5_200),
-    "package procedure": (6_447, 4_400),
-    "package service": (5_278, 4_100),
+    "package procedure": (6_443, 4_400),
+    "package service": (5_267, 4_100),
     "package logs": (4_475, 3_600),
     "package cli": (4_008, 2_900),
-    "package": (65_871, 46_500),
-    "tests": (41_900, 29_000),
+    "package": (65_856, 46_500),
+    "tests": (41_998, 29_000),
     "scripts benchmarks/compassbench": (1_555, 1_000),
-    "scripts": (9_787, 4_400),
+    "scripts": (9_777, 4_400),
 }
 
 

@@ -260,7 +260,7 @@ class OwnHeading:
         _, error, sigma, yaw = recent
         # What noise alone scatters by, by chance, is not taken for nothing: it tells no less than its doubt.
         noise2 = float((sigma**2).mean())
-        told2 = float(np.var((yaw - yaw[0] + 180.0) % 360.0))
+        told2 = float(np.var(np.unwrap(yaw, period=360.0)))
         return math.sqrt(max(min(float(error.var()) - noise2, told2), noise2 / len(error)))
 
     @property

@@ -51,7 +51,6 @@ class MessageRates:
     """Ask for message rates, remember what they were, and put them back."""
 
     _before_us: dict[type[mav.Message], int] = field(default_factory=dict)
-    _tells_intervals: bool = True
 
     def ask(
         self, context: Context, rates_hz: Mapping[type[mav.Message], float]
@@ -115,11 +114,10 @@ class MessageRates:
     def interval_us(self, context: Context, kind: type[mav.Message]) -> Script[int | None]:
         """Ask how often a message is sent, in microseconds; None where no answer comes."""
         number = mav.message_id(kind)
-        for _ in range(6 if self._tells_intervals else 2):
+        for _ in range(6):
             context.command(MavCmd.GET_MESSAGE_INTERVAL, number)
             answer = yield from expect(context, mav.MessageInterval, lambda m: m.message_id == number, 0.5)
             if answer is not None:
-                self._tells_intervals = True
                 return answer.interval_us
         return None
 

@@ -235,17 +235,16 @@ def parse_config(text: str, name: str = "configuration") -> ServiceConfig:
     for table, values in document.items():
         if not isinstance(values, dict):
             what = f"{table!r} stands alone; every key stands in a table (there are: {', '.join(_TABLES)})"
-            mistakes.append((_line_of(text, "", table), what))
+            mistakes.append((_line_of(text, table), what))
         elif table not in _TABLES:
             what = f"is not known{did_you_mean(table, _TABLES)} (there are: {', '.join(_TABLES)})"
-            mistakes.append((_line_of(text, table, None), f"table {table!r} {what}"))
+            mistakes.append((_line_of(text, table), f"table {table!r} {what}"))
         else:
             try:
                 tables[table] = read(_TABLES[table], values)
             except Mistakes as wrong:
-                mistakes += [
-                    (_line_of(text, table, key), f"{table}.{key} {what}") for key, what in wrong.found
-                ]
+                told = ((f"{table}.{key}", what) for key, what in wrong.found)
+                mistakes += [(_line_of(text, name), f"{name} {what}") for name, what in told]
     if mistakes:
         raise UsageError(
             f"The configuration has {len(mistakes)} mistake{'s' if len(mistakes) > 1 else ''}:",
@@ -255,21 +254,13 @@ def parse_config(text: str, name: str = "configuration") -> ServiceConfig:
     return ServiceConfig(**tables)
 
 
-def _line_of(text: str, table: str, key: str | None) -> int:
-    """Find the line on which a key is set, else its table's, else the first."""
-    current, at_table = "", 1
+def _line_of(text: str, name: str) -> int:
+    """Find the line on which a table, or a key of one, is set; else the key's table's, else the first."""
+    table, lines = "", dict[str, int]()
     for number, line in enumerate(text.splitlines(), 1):
         if header := re.match(r"\s*\[+\s*([^\]]+?)\s*\]+", line):
-            current = header[1].strip("\"'")
-            if current == table:
-                at_table = number
-                if key is None:
-                    return number
-            continue
-        name = re.match(r"""\s*(["']?)([\w.-]+)\1\s*=""", line)
-        if name is None or key is None:
-            continue
-        full = f"{current}.{name[2]}" if current else name[2]
-        if full == (f"{table}.{key}" if table else key):
-            return number
-    return at_table
+            table = header[1].strip("\"'")
+            lines.setdefault(table, number)
+        elif key := re.match(r"""\s*(["']?)([\w.-]+)\1\s*=""", line):
+            lines[f"{table}.{key[2]}".lstrip(".")] = number
+    return lines.get(name) or lines.get(name.partition(".")[0], 1)

@@ -78,7 +78,7 @@ class Service:
         self.station = Station(config, self.history, open_link or link_opener(config))
         self.gaps = Gaps(config, self.history)
         self._notifier = Notifier()
-        self._beat = (-1, 0.0)
+        self._beaten_s: dict[int, float] = {}  # the station's latest beat, since when
         self._stopping: asyncio.Event | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
 
@@ -155,10 +155,9 @@ class Service:
 
     def _is_stuck(self) -> bool:
         assert self._loop is not None
-        now_s = self._loop.time()
-        if self.station.beat != self._beat[0]:
-            self._beat = (self.station.beat, now_s)
-        return now_s - self._beat[1] > STUCK_S
+        beat, now_s = self.station.beat, self._loop.time()
+        self._beaten_s = {beat: self._beaten_s.get(beat, now_s)}
+        return now_s - self._beaten_s[beat] > STUCK_S
 
 
 def _keep_private(folder: Path) -> None:

@@ -74,14 +74,14 @@ class Glance:
     time_s: float
     headings: Mapping[int, Heading]
     world: EarthField | None
-    rate_radps: float = 0.0
-    bias_radps: float = 0.0
-    stands: bool = False
-    tilt_sigma_rad: float = 0.0
-    kind: str = "unknown"
-    course_rad: float | None = None
-    speed_mps: float = 0.0
-    current_a: float | None = None
+    rate_radps: float
+    bias_radps: float
+    stands: bool
+    tilt_sigma_rad: float
+    kind: str
+    course_rad: float | None
+    speed_mps: float
+    current_a: float | None
 
 
 @dataclass(slots=True)
@@ -113,7 +113,7 @@ def _forgetting(weight: float, amount: float, span: float) -> tuple[float, float
 class _Average:
     """Average over about `span` of whatever passes (seconds, radians turned)."""
 
-    span: float
+    span: float = 10.0
     value: float = 0.0
     weight: float = 0.0
 
@@ -215,10 +215,10 @@ class _CurrentCoupling:
 class _CompassRecord:
     """Hold what the watch knows of one compass."""
 
-    strength: _Average = field(default_factory=lambda: _Average(10.0))
-    dip: _Average = field(default_factory=lambda: _Average(10.0))
-    apart: _Average = field(default_factory=lambda: _Average(10.0))
-    leaning: _Average = field(default_factory=lambda: _Average(10.0))
+    strength: _Average = field(default_factory=_Average)
+    dip: _Average = field(default_factory=_Average)
+    apart: _Average = field(default_factory=_Average)
+    leaning: _Average = field(default_factory=_Average)
     course: _Average = field(default_factory=lambda: _Average(20.0))
     gyro: _GyroComparison = field(default_factory=_GyroComparison)
     current: _CurrentCoupling = field(default_factory=_CurrentCoupling)

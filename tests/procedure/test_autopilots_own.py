@@ -64,6 +64,7 @@ def test_its_result_is_judged_by_ours_and_written_by_us(kind: str, tmp_path: Pat
     vehicle, result = link.autopilot, report.results[0]
     assert isinstance(vehicle, SimulatedAutopilot)
     assert report.written and report.proof is not None and report.proof.passed
+    assert not any("--reboot" in message for message in report.messages)  # it was restarted
     assert result.method == "autopilot" and result.evidence[0].witness == "own-solution"
     assert not result.evidence[0].contradicts and result.evidence[0].difference_deg < 0.3
     assert heading_error_rms_deg(vehicle) < 0.3

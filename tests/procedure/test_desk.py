@@ -115,6 +115,11 @@ def test_what_nobody_knows_how_to_turn_is_refused() -> None:
     )
 
 
+@pytest.mark.parametrize(("kind", "takes_s"), [("rover", 0.1), ("copter", 1.6)])
+def test_what_hovers_is_to_hold_its_place_before_it_is_turned(kind: Kind, takes_s: float) -> None:
+    assert Charge(kind).taken().context.now == pytest.approx(takes_s, abs=0.15)
+
+
 @pytest.mark.parametrize(
     ("kind", "function", "room_m"),
     [("rover", 0.0, 5.0), ("rover", 26.0, 15.0), ("rover", 25.0, 5.0), ("boat", 0.0, 15.0),

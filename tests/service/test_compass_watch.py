@@ -57,7 +57,9 @@ def test_two_looks_at_all_but_the_same_moment_are_let_pass() -> None:
 
 
 def glance(time_s: float, *headings: Heading) -> Glance:
-    return Glance(time_s, {h.instance: h for h in headings}, WORLD)
+    return Glance(
+        time_s, {h.instance: h for h in headings}, WORLD, 0.0, 0.0, False, 0.0, "unknown", None, 0.0, None
+    )
 
 
 def test_a_good_compass_is_let_pass_standing_turning_and_driving() -> None:

@@ -78,7 +78,10 @@ def test_all_mistakes_are_told_at_once_each_with_its_line() -> None:
         ("[heading]\nrate = 3", 2, "(there are: publish"),
         ("\n\n[mavlink]\n\nstatustext = 1\n", 5, "true or false"),
         ("[vehicl]\nrate_hz = 3", 1, "did you mean 'vehicle'?"),
-        ("[vehicle]\n[watch]\n[vehicle.source]\n", 1, "vehicle.source"),
+        ("[vehicle]\n[watch]\n[vehicle.source]\n", 3, "vehicle.source"),
+        ("\n[vehicle.source.x]\n", 1, "vehicle.source"),
+        ("\nvehicle = { rate_hz = 0 }", 2, "vehicle.rate_hz must be"),
+        ("\n[[vehicle]]\nrate_hz = 3", 2, "every key stands in a table"),
         ("\nrate_hz = 3", 2, "every key stands in a table"),
     ],
 )

@@ -22,16 +22,25 @@ DEG, STEP_S, LIMIT_DEG = math.pi / 180.0, 0.1, WatchConfig().step_deg
 SECONDS = 65.0
 
 
-def after(seconds: float, iron: Callable[[float], float], rate_dps: Callable[[float], float]) -> FieldStep:
-    """A compass in 200 mG whose vehicle is nudged round and has iron put aboard, forward, by the time."""
+def after(
+    seconds: float,
+    iron: Callable[[float], float],
+    rate_dps: Callable[[float], float],
+    bias_dps: float = 0.0,
+    swing: Callable[[float], float] = lambda t: 0.0,
+) -> FieldStep:
+    """A compass in 200 mG whose vehicle is nudged round and has iron put aboard, forward, by the time.
+
+    It swings beside that, by an angle that its gyro takes for a bias.
+    """
     step, turned = FieldStep(), 0.4
     for k in range(round(seconds / STEP_S)):
         t, rate = k * STEP_S, rate_dps(k * STEP_S) * DEG
         turned += rate * STEP_S
-        level = (200.0 * math.cos(turned) + iron(t), -200.0 * math.sin(turned), 400.0)
-        step.add(
-            Heading(t, t, 1, 0.0, None, 0.01, level), rate, 0.0, abs(rate) < 0.3 * DEG, STEP_S, LIMIT_DEG
-        )
+        yaw, stands = turned + swing(t) * DEG, abs(rate) < 0.3 * DEG
+        level = (200.0 * math.cos(yaw) + iron(t), -200.0 * math.sin(yaw), 400.0)
+        seen = Heading(t, t, 1, 0.0, None, 0.01, level)
+        step.add(seen, rate, bias_dps * DEG, stands, STEP_S, LIMIT_DEG)
     return step
 
 
@@ -51,6 +60,9 @@ def test_what_turns_swings_or_warms_is_no_step() -> None:
     assert after(120.0, quiet, lambda t: 20.0 if 40.0 < t < 44.5 else 0.0).off_deg < 0.1
     assert after(120.0, lambda t: 0.1 * t, lambda t: 0.0).off_deg < LIMIT_DEG
     assert after(120.0, quiet, lambda t: 0.28 * math.sin(0.1 * t)).off_deg < 0.1
+    for dps in (-0.2, 0.2):
+        hidden, swung = (after(60.0, quiet, quiet, bias, lambda t, dps=dps: dps * t) for bias in (0.2, 0.0))
+        assert hidden.off_deg < 0.1 < swung.off_deg
 
 
 def told(vehicle: SimulatedAutopilot, kind: str, seconds: float) -> dict[str, float]:

@@ -162,7 +162,7 @@ def test_a_vehicle_that_does_not_tell_its_parameters_is_left_in_peace_between_th
     wait_for(lambda: link.now() > 20.0)
     assert station.stop() and sent_s[mav.ParamRequestRead][0] < 5.0
     assert max(b - a for a, b in pairwise(sent_s[mav.ParamRequestRead])) > 4.0
-    assert len(sent_s[mav.Heartbeat]) < 1.5 * link.now(), "one a second, and where a procedure begins"
+    assert 0.7 < len(sent_s[mav.Heartbeat]) / link.now() < 1.5, "one a second, and where a procedure begins"
 
 
 def test_cuts_and_reboots_are_bridged_and_no_calibration_result_is_missed(

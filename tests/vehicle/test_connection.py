@@ -68,13 +68,17 @@ def test_a_link_on_which_nobody_answers_is_closed_again(link: SimulatedLink) -> 
 def test_it_is_the_vehicle_that_was_connected_that_is_calibrated(
     link: SimulatedLink, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked: list[int | None] = []
+    asked: list[CalibrateSettings] = []
     monkeypatch.setattr(
-        connection, "calibrate_on", lambda link, source, settings, *_, **__: asked.append(settings.system)
+        connection, "calibrate_on", lambda link, source, settings, *_, **__: asked.append(settings)
     )
     with connect("sim:rover") as vehicle:
         vehicle.calibrate()
-    assert asked == [4]
+        vehicle.calibrate(CalibrateSettings(method="one-point", max_heading_error_deg=3.0))
+        vehicle.calibrate(method="one-point", max_heading_error_deg=3.0)
+    assert [settings.system for settings in asked] == [4, 4, 4] and asked[0].writing == "never"
+    told = [(settings.method, settings.max_heading_error_deg) for settings in asked]
+    assert told == [("four-positions", 2.0), ("one-point", 3.0), ("one-point", 3.0)]
 
 
 @pytest.mark.parametrize(("kind", "name"), [("rover", "COMPASS_DIA2_X"), ("px4-copter", "CAL_MAG0_ZOFF")])

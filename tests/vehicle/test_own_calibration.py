@@ -150,6 +150,7 @@ def test_px4_is_started_its_texts_passed_on_in_words_and_left_when_done() -> Non
     told = [show.text for show in shown]
     assert told[0] == "Hold it still on its left side (or level, as it stands). 0 %, 4 of 6 sides done."
     assert "Now turn it round slowly, this side down. 0 %, 4 of 6 sides done." in told
+    assert "Go on turning it round. 75 %, 4 of 6 sides done." in told
     assert "This side is done: take another. 75 %, 5 of 6 sides done." in told
     assert dict(shown[0].data)["roll_deg"] == -90.0
 

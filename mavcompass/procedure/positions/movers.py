@@ -120,21 +120,19 @@ class HandMover(Mover):
     def _wanted(self, step_rad: float) -> list[float]:
         """List the headings that are still wanted: the steps of the circle, or either side of the last."""
         first, last = self.visited_rad[0], self.visited_rad[-1]
-        around = round(2.0 * math.pi / abs(step_rad))
-        apart = min(_APART_RAD, 0.6 * abs(step_rad))
-        free = [
-            first + k * step_rad
-            for k in range(1, around)
-            if all(self._apart(first + k * step_rad, seen) >= apart for seen in self.visited_rad)
-        ]
+        steps = (first + k * step_rad for k in range(1, round(2.0 * math.pi / abs(step_rad))))
+        free = [step for step in steps if self._is_apart(step, step_rad, self.visited_rad)]
         return free or [last + step_rad, last - step_rad]
 
     def _is_new(self, angle_rad: float, step_rad: float) -> bool:
         """Tell whether a heading is far from every position so far; from the last, once all are taken."""
-        apart = min(_APART_RAD, 0.6 * abs(step_rad))
         full = len(self.visited_rad) * abs(step_rad) >= 2.0 * math.pi - 1e-6
         before = self.visited_rad[-1:] if full else self.visited_rad
-        return all(self._apart(angle_rad, seen) >= apart for seen in before)
+        return self._is_apart(angle_rad, step_rad, before)
+
+    def _is_apart(self, angle_rad: float, step_rad: float, before: Sequence[float]) -> bool:
+        apart_rad = min(_APART_RAD, 0.6 * abs(step_rad))
+        return all(self._apart(angle_rad, seen) >= apart_rad for seen in before)
 
     @staticmethod
     def _apart(a_rad: float, b_rad: float) -> float:

@@ -136,7 +136,7 @@ class Rest:
     def longest_gap_s(self) -> float:
         """Return how long a silence still says nothing, from the usual time between messages."""
         latest = max(self._readings.values(), key=len, default=())
-        usual_s = median(b - a for a, b in pairwise(latest)) if len(latest) > 1 else 0.0
+        usual_s = median([b - a for a, b in pairwise(latest)] or [0.0])
         return max(_LONGEST_GAP_S, _LONGEST_GAP * usual_s)
 
     def needed_s(self, settings: DwellSettings) -> float:

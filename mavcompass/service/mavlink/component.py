@@ -20,7 +20,7 @@ from mavcompass.service.config import ServiceConfig
 from mavcompass.service.view import GONE_S, VehicleView
 from mavcompass.service.watch import Finding
 from mavcompass.service.work.clock import Schedule, utc_now
-from mavcompass.service.work.tasks import LEARNT, Busy, CalibrationRequest, Desk, Task
+from mavcompass.service.work.tasks import LEARNT, CalibrationRequest, Desk, Task
 from mavcompass.vehicle.link import Link
 
 _log = logging.getLogger(__name__)
@@ -212,8 +212,8 @@ class GroundStationReporter:
         self._desk = desk
         self._due = due
         self._announced: set[tuple[str, int]] = set()
-        self._stage = (0, False)
-        self._times = 0
+        self._stage: tuple[int, bool] | None = None
+        self._times: int  # of the report, in this stage
 
     def tell(self, link: Link, view: VehicleView, findings: Sequence[Finding], now_s: float) -> None:
         """Send what is due now."""
@@ -297,8 +297,8 @@ class GroundStationReporter:
             case CalibrationRequest():
                 try:
                     self._desk.submit(order, "mavlink", utc_now())
-                except MavCompassError as error:
-                    return MavResult.TEMPORARILY_REJECTED if isinstance(error, Busy) else MavResult.DENIED
+                except MavCompassError:
+                    return MavResult.TEMPORARILY_REJECTED  # another was faster, or the service is stopping
             case "accept" if task is not None and not task.give_answer(True):
                 return MavResult.TEMPORARILY_REJECTED
             case "cancel" if task is not None and not task.give_answer(False):

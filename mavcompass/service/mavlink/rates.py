@@ -48,8 +48,7 @@ class RateKeeper:
     def vehicle_is_back(self) -> None:
         """Ask for everything at once: it was silent or restarted, and has our wishes no more."""
         self._judged_s = None
-        for wanted in self._wanted.values():
-            wanted.asked, wanted.next_ask_s, wanted.heard = 0, -math.inf, 0
+        self._wanted = {kind: _Wanted(wanted.rate_hz) for kind, wanted in self._wanted.items()}
 
     def due(self, now_s: float, system: int) -> list[mav.Message]:
         """Return the requests to send now."""

@@ -77,7 +77,7 @@ class _Progress:
     progress: dict[int, MagCalProgress] = field(default_factory=dict)
     reports: dict[int, MagCalReport] = field(default_factory=dict)
     texts: list[str] = field(default_factory=list)
-    heard_s: float = -math.inf
+    heard_s: float = field(init=False)  # from when it has begun
 
     def hear(self, heard: Incoming) -> None:
         """Take a message; a report counts after progress: that of an earlier run is sent until then."""
@@ -124,11 +124,11 @@ def calibrate_ardupilot(context: Context, instances: tuple[int, ...]) -> Script[
 
 
 def _until_reported(context: Context, instances: tuple[int, ...], told: _Progress) -> Script[None]:
-    began_s = grew_s = context.now
+    grew_s = told.heard_s = context.now
     most = 0.0
     while not set(instances) <= set(told.reports):
         remedy = "Check that it streams MAG_CAL_PROGRESS on this link (SRn_EXTRA3), then run again."
-        _need_words(context, max(told.heard_s, began_s), _ARDUPILOT_SILENCE_S, remedy)
+        _need_words(context, told.heard_s, _ARDUPILOT_SILENCE_S, remedy)
         running = [p for i, p in told.progress.items() if i not in told.reports]
         percent = min((p.completion_pct for p in running), default=0)
         parts, blocks = told.seen()
@@ -184,7 +184,7 @@ class _Texts:
     """Hold what it said that has not been looked at, and when it last said something."""
 
     texts: list[str] = field(default_factory=list)
-    heard_s: float = -math.inf
+    heard_s: float = field(init=False)
     other: str = ""
 
     def hear(self, heard: Incoming) -> None:
@@ -224,8 +224,8 @@ def calibrate_px4(context: Context) -> Script[str]:
 
 
 def _until_done(context: Context, told: _Texts) -> Script[str]:
-    began_s, percent, pending = context.now, 0, list(_SIDES)
-    words, said_s = "", -math.inf
+    said_s = told.heard_s = context.now
+    words, percent, pending = "", 0, list(_SIDES)
     data: dict[str, float] = {}
     while True:
         while told.texts:
@@ -250,7 +250,7 @@ def _until_done(context: Context, told: _Texts) -> Script[str]:
                 f"Since {_PX4_SILENCE_S:.0f} s its own calibration waits: {words}", _STEADIER
             )
         remedy = "Check that its texts come over this link, then run again."
-        _need_words(context, max(told.heard_s, began_s), _PX4_SILENCE_S, remedy)
+        _need_words(context, told.heard_s, _PX4_SILENCE_S, remedy)
         yield from pause(context, _POLL_S)
 
 
@@ -266,6 +266,6 @@ def _in_words(text: str, pending: list[str]) -> tuple[str, dict[str, float]] | N
         return "Now turn it round slowly, this side down.", {"round_deg": 360.0}
     if text.endswith("side already completed"):
         return "This side is done: take another.", {}
-    if "progress <" in text and "side calibration" in text:
+    if "side calibration: progress <" in text:
         return "Go on turning it round.", {"round_deg": 360.0}
     return None

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 # The vehicle is advanced in pieces of this length, which is therefore how long an answer takes at most.
 STEP_S = 0.01
 _GOLDEN = 0.6180339887
+_MOVE_S = 3.0  # for the hands to lift or turn it
 # A full turn on a side, slow enough for a compass that is read ten times a second.
 _ROUND_S = 12.0
 
@@ -133,12 +134,11 @@ class SimulatedPerson:
             return
         told = {name: math.radians(value) for name, value in show.data}
         move = None
-        if "left_deg" in told or "round_deg" in told:
-            turn_rad = told.get("left_deg", 0.0) + told.get("round_deg", 0.0)
-            lasts_s = 3.0 if "left_deg" in told else _ROUND_S
+        if (turn_rad := told.get("left_deg", told.get("round_deg"))) is not None:
+            lasts_s = _MOVE_S if "left_deg" in told else _ROUND_S
             move = HandMove(turn_rad, lasts_s, 0.0, self._roll_rad, self._pitch_rad)
         elif "roll_deg" in told or "level" in told:
-            move = HandMove(0.0, 3.0, 0.0, told.get("roll_deg", 0.0), told.get("pitch_deg", 0.0))
+            move = HandMove(0.0, _MOVE_S, 0.0, told.get("roll_deg", 0.0), told.get("pitch_deg", 0.0))
         elif "tumble" in told:
             # No two sides alike, and the better part of a turn on each.
             self._sides += 1

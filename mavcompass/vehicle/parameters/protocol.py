@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from mavcompass.errors import LinkLost, NoReply
 from mavcompass.messages import Message, ParamRequestRead, ParamValue
@@ -49,7 +49,7 @@ def read(
     `enough` may end the reading early, given what was heard so far. Names that are known to `exist` are
     asked for longer. Raises LinkLost where the vehicle says nothing at all for `SILENCE_S`.
     """
-    asks = [Ask(name, (_read_request(context, name),), exists=exist) for name in dict.fromkeys(names)]
+    asks = [Ask(name, (_read_request(context, name),), exist) for name in dict.fromkeys(names)]
     exchange = Exchange(context, encoding, asks)
     yield from exchange.run(SILENCE_S, enough)
     return {name: exchange.answers[name] for name in names if name in exchange.answers}
@@ -67,6 +67,7 @@ def write(
         Ask(
             name,
             (encode(name, p, encoding, context),),
+            True,
             p.value,
             again=(_read_request(context, name),),
             most_others=_REFUSED_TRIES,
@@ -97,7 +98,8 @@ def prove(
     for _ in range(_ROUNDS):
         yield from pause(context, echoes_s)
         asks = [
-            Ask(name, (_read_request(context, name),), p.value, most_others=2) for name, p in wanted.items()
+            Ask(name, (_read_request(context, name),), True, p.value, most_others=2)
+            for name, p in wanted.items()
         ]
         exchange = Exchange(context, encoding, asks)
         yield from exchange.run(silence_s)
@@ -136,27 +138,25 @@ class Ask:
 
     name: str
     first: tuple[Message, ...]
+    exists: bool  # its silence is the link's
     wanted: float | None = None
-    exists: bool = False  # known to exist: its silence is the link's
     again: tuple[Message, ...] = ()  # sent beside `first` from the second try on
-    most_others: int = 0  # so many tries with another value are the vehicle's word (0: any value ends it)
+    most_others: float = math.inf  # so many tries with another value are the vehicle's word
     tries: int = 0
-    first_s: float = 0.0
-    sent_s: float = 0.0
+    first_s: float = field(init=False)
+    sent_s: float = field(init=False)
     due_s: float = -math.inf
-    others: int = 0  # tries in which a value was heard that was not the wanted one
-    other_try: int = 0  # the last of them
+    others: set[int] = field(default_factory=set)  # tries in which another value than the wanted was heard
     other_value: float | None = None
 
     def hear_other(self, value: float) -> None:
         """Note a value that is not the wanted one: a late echo, a lost write, or a refusal."""
-        if self.other_try != self.tries:
-            self.other_try, self.others = self.tries, self.others + 1
+        self.others.add(self.tries)
         self.other_value = value
 
     def refused(self) -> bool:
         """Tell whether another value came too often to be an echo or the sign of a lost write."""
-        return 0 < self.most_others <= self.others
+        return len(self.others) >= self.most_others
 
 
 class Exchange:
@@ -170,7 +170,7 @@ class Exchange:
         self.sent = 0  # how often the names that answered had been asked
         self.heard_s = context.now
         self.round_trip_s: float | None = None
-        self.deviation_s = 0.0
+        self.deviation_s: float  # known with the round trip
 
     def run(
         self, silence_s: float, enough: Callable[[Mapping[str, Parameter]], bool] = lambda _: False
@@ -265,7 +265,7 @@ class Exchange:
 
     def _most_tries(self, ask: Ask) -> int:
         """Say after how many silent tries a name is given up, from the share of requests answered."""
-        if ask.exists or ask.wanted is not None:
+        if ask.exists:
             return _MOST_TRIES
         share = self._answered()
         if self.sent:  # less one standard deviation: the first answers may have been lucky

@@ -85,7 +85,7 @@ class StreamTransport:
         self._remedy = remedy
         self._stream: Stream | None = None
         self._closed = False
-        self._give_up_s = self._next_try_s = 0.0
+        self._give_up_s = self._next_try_s = time.monotonic()
         self._connect_first()
 
     def _connect_first(self) -> None:

@@ -42,7 +42,7 @@ class TcpServerTransport:
         self._selector = selectors.DefaultSelector()
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         try:
-            self._listener = socket.create_server((host, port), family=family, reuse_port=False)
+            self._listener = socket.create_server((host, port), family=family)
         except OSError as error:
             self._selector.close()
             raise UsageError(

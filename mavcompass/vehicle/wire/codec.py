@@ -34,7 +34,7 @@ class WireFormat:
         self._struct = description.payload
         self._defaults = self._struct.unpack(bytes(self.full_length))
         self._places = () if self.kind is None else tuple(_places(description, self.kind))
-        numbers_only = all(not count and not text for _, _, count, text in self._places)
+        numbers_only = not any(count or text for _, _, count, text in self._places)
         at = [at for _, at, _, _ in self._places]
         self._pick = itemgetter(*at) if numbers_only and len(at) > 1 else None
         self._bits_first = description.name in _BITS_FIRST

@@ -15,6 +15,7 @@ from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
 from mavcompass.enums import MagCalStatus, MavCmd, MavResult, MavSeverity
 from mavcompass.heading.live import Heading, LiveCompass
+from mavcompass.messages import Incoming
 from mavcompass.procedure.script import Show
 from mavcompass.procedure.vehicle_state import VehicleIdentity
 from mavcompass.service.config import MavlinkConfig, ServiceConfig
@@ -227,6 +228,19 @@ def test_the_pilot_is_told_of_a_finding_once_for_as_long_as_it_lasts(
     told = [(message.severity, message.text) for message in heard if isinstance(message, mav.Statustext)]
     dip_told, field_told = (MavSeverity.WARNING, "Compass 1: dip"), (MavSeverity.ERROR, "Compass 1: field")
     assert told == [dip_told, field_told, dip_told]
+
+
+def test_a_start_that_cannot_be_taken_now_is_rejected_for_now(station: tuple[SimulatedLink, Heard]) -> None:
+    (link, heard), desk = station, Desk()
+    reporter = GroundStationReporter(ServiceConfig(), desk, Schedule())
+    start, view = Incoming(0.0, 255, 190, command(MavCmd.DO_START_MAG_CAL)), view_of()
+    view.set_parameters({"COMPASS_OFS_X": 1.0, "COMPASS_OFS_Y": 0.0, "COMPASS_OFS_Z": 0.0})
+    for seen in (None, view, view):  # not heard yet; taken; stopping
+        reporter.hear_command(link, seen, start, ())
+        if desk.current is not None:
+            desk.close("The service is stopping.")
+    later = MavResult.TEMPORARILY_REJECTED
+    assert [m.result for m in heard if isinstance(m, mav.CommandAck)] == [later, MavResult.ACCEPTED, later]
 
 
 @pytest.mark.parametrize(("there", "texts", "reports"), [(True, True, 8), (True, False, 8), (False, True, 0)])

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 from running_service import RunningService, StartService, configured, wait_for
 from websockets.sync.client import connect
 
 from mavcompass.service.config import HeadingConfig
-from mavcompass.service.run import Service
+from mavcompass.service.run import Service, link_opener
+from mavcompass.service.station import Station
+from mavcompass.service.web.app import build_app
+from mavcompass.service.work.history import History
+from mavcompass.service.work.jobs import Gaps
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.vehicle.links.simulated import SimulatedLink
 
@@ -95,6 +101,8 @@ def test_a_calibration_from_request_to_undo(asked: Asked) -> None:
     for lacking in ("report", "recording"):
         assert running.client.get(f"/api/history/{undone['history_entry']}/{lacking}").status_code == 404
     assert running.client.post("/api/gap", json={"entry": undone["history_entry"]}).status_code == 404
+    nothing = running.client.post("/api/undo", json={"entry": asked.tasks[0]["history_entry"]})
+    assert nothing.status_code == 404 and "wrote nothing" in nothing.json()["error"]
     restored = asked.parameters()
     for name in document["compasses"][0]["parameters"]:
         assert restored[name] == pytest.approx(before[name], abs=1e-5), name
@@ -210,10 +218,12 @@ def test_metrics_are_gathered_when_they_are_asked_for(quiet: RunningService) -> 
 
     before = headings()
     wait_for(lambda: headings() > before)
+    told = quiet.stranger.get("/metrics").text.splitlines()
+    assert {f"mavcompass_{name}_total 0.0" for name in ("reconnects", "reboots", "tasks")} <= set(told)
 
 
 def test_what_is_not_there_is_told(quiet: RunningService) -> None:
-    for path in ("/api/history/99", "/api/history/99/report", "/api/task", "/api/gap", "/nothing"):
+    for path in ("/api/history/99", "/api/history/99/report", "/api/task", "/api/gap", "/web/nothing"):
         answer = quiet.client.get(path)
         assert answer.status_code == 404 and answer.json()["error"], path
     for path in ("/api/history/x", "/api/history/-1", "/api/history?limit=0", "/api/history?kind=x"):
@@ -221,6 +231,22 @@ def test_what_is_not_there_is_told(quiet: RunningService) -> None:
     for path in ("/api/undo", "/api/gap"):
         assert quiet.client.post(path, json={"entry": 99}).status_code == 404
     assert quiet.client.post("/api/state").status_code == 405
+
+
+def test_a_service_that_hears_no_vehicle_and_is_stuck_says_so(tmp_path: Path) -> None:
+    config, history = configured(tmp_path), History(tmp_path / "history.db")
+    station = Station(config, history, link_opener(config))
+    door = httpx.ASGITransport(build_app(config, station, history, Gaps(config, history), "", lambda: False))
+
+    async def answers() -> list[tuple[int, str]]:
+        async with httpx.AsyncClient(transport=door, base_url="http://localhost") as client:
+            told = [await client.get(path) for path in ("/readyz", "/api/heading", "/healthz")]
+        return [(answer.status_code, answer.json()["error"]) for answer in told]
+
+    for reason, said in (("", "The vehicle is not heard."), ("It is unplugged.", "It is unplugged.")):
+        station.link_error = reason
+        assert asyncio.run(answers()) == [(503, said), (503, said), (503, "The station is stuck.")]
+    history.close()
 
 
 def test_every_heading_goes_out_as_a_datagram(start_service: StartService) -> None:

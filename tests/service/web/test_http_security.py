@@ -21,7 +21,8 @@ WRITING = [operation.path for operation in operations_of(Api) if operation.metho
 
 def test_every_request_that_is_not_reading_needs_the_token(quiet: RunningService) -> None:
     for path in WRITING:
-        assert quiet.stranger.post(path, json={}).status_code == 401, path
+        refused = quiet.stranger.post(path, json={})
+        assert (refused.status_code, refused.headers.get("www-authenticate")) == (401, "Bearer"), path
         wrong = {"authorization": "Bearer " + "x" * len(quiet.service.token)}
         assert quiet.stranger.post(path, json={}, headers=wrong).status_code == 401, path
         basic = {"authorization": f"Basic {quiet.service.token}"}

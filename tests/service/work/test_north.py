@@ -123,8 +123,9 @@ def test_drives_are_joined_by_inverse_variance_and_fade_with_distance() -> None:
     assert (
         both.chance_rad == pytest.approx(DEG * (1 / 0.09 + 1 / 0.36) ** -0.5) and both.steady_rad == 0.2 * DEG
     )
-    (apart,) = joined([(seen(0.0, 0.1), 0.0), (seen(2.0, 0.1), 0.5)], EARTH)
-    assert apart.chance_rad == pytest.approx(1.0 * DEG, rel=0.01)
+    for turns_deg, chance_deg in (((0.0, 2.0), 1.0), ((0.0, 1.0, 2.0), 3.0**-0.5)):
+        (apart,) = joined([(seen(turn_deg, 0.1), 0.5) for turn_deg in turns_deg], EARTH)
+        assert apart.chance_rad == pytest.approx(chance_deg * DEG, rel=0.01)
     chances = [joined([(seen(2.0, 0.3), km)], EARTH)[0].chance_rad for km in (0.9, 2.0, 5.0, 9.9)]
     assert chances == sorted(chances) and chances[0] == pytest.approx(0.3 * DEG) and chances[-1] < 2.5 * DEG
     assert joined([(seen(2.0, 0.3), 11.0)], EARTH) == []

@@ -124,6 +124,21 @@ def test_messages_of_another_dialect_are_skipped_as_a_whole() -> None:
     assert counts == Counts(malformed=0, unknown=1)
 
 
+FOREIGN = (
+    b"\xfd\x03\0\0\0\1\1\xff\xff\xff\xfd\x09\0__"  # of another dialect; what might begin inside is cut off
+)
+
+
+@pytest.mark.parametrize("start", [b"\xfd", b"\xfd\xfd", b"\xfe", FOREIGN])
+def test_frames_behind_what_might_begin_one_are_found_wherever_the_stream_is_cut(start: bytes) -> None:
+    writer = FrameWriter()
+    stream = start + b"".join(writer.write(SAMPLE, 1, 1) for _ in range(12))
+    for cut in range(len(stream)):
+        parser = FrameParser(Counts())
+        frames = [f for part in (stream[:cut], stream[cut:], bytes(600)) for f in parser.feed(part)]
+        assert [f.sequence for f in frames] == list(range(12)), cut
+
+
 def test_frames_with_flags_that_must_be_understood_are_not_taken() -> None:
     raw = bytearray(FrameWriter().write(SAMPLE, 1, 1))
     raw[2] = 0x02
