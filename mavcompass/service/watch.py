@@ -239,14 +239,14 @@ class CompassWatch:
         self.limits = limits
         self.findings: tuple[Finding, ...] = ()
         self._records: dict[int, _CompassRecord] = {}
-        self._latest_s = -math.inf
+        self._latest_s = math.nan
         self._steep = 2.0  # the dip's tangent where most people live
 
     def restart(self) -> None:
         """Forget everything: the vehicle was restarted or its calibration was changed."""
         self.findings = ()
         self._records.clear()
-        self._latest_s = -math.inf
+        self._latest_s = math.nan
 
     def update(self, glance: Glance) -> tuple[Finding, ...]:
         """Look once and return the findings in force."""

@@ -1,6 +1,6 @@
 """Change the code by a little, many times: do the tests notice?
 
-    ./scripts/coverage tests/vehicle tests/service     # first: which test runs what, and how long it takes
+    ./scripts/coverage tests/vehicle tests/service tests/gap/fly     # first: which test runs what, how long
     python scripts/campaigns/mutants.py --under vehicle --under service [--mutants 120]
     python scripts/campaigns/mutants.py --mutant mavcompass/frames.py#17      # one again
 

@@ -41,7 +41,10 @@ WATCHED = {
         (MavlinkConfig(), {"accept_commands": True, "heading_hz": 5.0, "statustext": True}),
         (LearningConfig(), {"enabled": True, "margin_deg": 2.0, "limit_deg": 0.5}),
         (WatchConfig(), WATCHED),
-        (LinkStatistics(), dict.fromkeys(("received", "malformed", "unknown", "signed", "refused"), 0)),
+        (
+            LinkStatistics(),
+            dict.fromkeys(("received", "malformed", "unknown", "signed", "refused"), 0),
+        ),
         (Faults(), {"loss": 0.0, "duplicate": 0.0, "reorder": 0.0, "latency_s": 0.0}),
         (Permissions(), MAY),
         (CalibrateSettings(), CALIBRATE),

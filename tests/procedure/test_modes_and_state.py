@@ -35,11 +35,9 @@ def test_the_mode_in_which_a_vehicle_takes_turns(
 def test_modes_have_names_for_a_person() -> None:
     assert mode_name("rover", "ardupilot", 15) == "GUIDED" and mode_name("copter", "ardupilot", 9) == "LAND"
     assert mode_name("rover", "ardupilot", 99) == "mode 99" and mode_name("plane", "ardupilot", 5) == "FBWA"
-    assert (
-        mode_name("copter", "px4", PX4_OFFBOARD) == "OFFBOARD"
-        and mode_name("copter", "px4", 4 << 16 | 3 << 24) == "AUTO"
-    )
-    assert mode_name("copter", "px4", 9 << 16) == f"mode {9 << 16}"
+    of_px4 = [mode_name("copter", "px4", main << 16 | 3 << 24) for main in range(1, 8)]
+    assert of_px4 == ["MANUAL", "ALTCTL", "POSCTL", "AUTO", "ACRO", "OFFBOARD", "STABILIZED"]
+    assert mode_name("copter", "px4", 9 << 16) == f"mode {9 << 16}" and PX4_OFFBOARD == 6 << 16
 
 
 @pytest.mark.parametrize(

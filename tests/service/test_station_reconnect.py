@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from itertools import pairwise
 from pathlib import Path
+from statistics import median
 from types import ModuleType
 
 import pytest
@@ -133,21 +134,24 @@ def test_a_stop_of_the_service_halts_the_vehicle_first(start_service: StartServi
 
 
 @pytest.mark.parametrize(("kind", "may_hover"), [("rover", False), ("quadplane", True)])
-def test_what_is_asked_for_is_given_back_at_the_end(
+def test_what_is_asked_for_is_given_back_at_the_end_and_a_heartbeat_told_every_second(
     kind: str, may_hover: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     link, asked = SimulatedLink.of(kind, seed=1, speed=20.0), dict[int, float]()
-    send = link.send
+    send, beats_s = link.send, list[float]()
 
     def note(message: mav.Message) -> None:
         if isinstance(message, mav.CommandLong) and message.command == MavCmd.SET_MESSAGE_INTERVAL:
             asked[int(message.param1)] = message.param2
+        if isinstance(message, mav.Heartbeat):
+            beats_s.append(link.now())
         send(message)
 
     monkeypatch.setattr(link, "send", note)
     station = Station(configured(tmp_path), History(tmp_path / "history.db"), lambda: link)
     station.start()
-    wait_for(lambda: station.headings and len(asked) > 5)
+    wait_for(lambda: station.headings and len(asked) > 5 and len(beats_s) > 9)
+    assert median(b - a for a, b in pairwise(beats_s)) == pytest.approx(1.0, abs=0.3)
     assert all(asked.values()) and (mav.message_id(mav.ExtendedSysState) in asked) is may_hover
     assert station.stop() and not any(asked.values())
 
@@ -162,7 +166,7 @@ def test_a_vehicle_that_does_not_tell_its_parameters_is_left_in_peace_between_th
     wait_for(lambda: link.now() > 20.0)
     assert station.stop() and sent_s[mav.ParamRequestRead][0] < 5.0
     assert max(b - a for a, b in pairwise(sent_s[mav.ParamRequestRead])) > 4.0
-    assert 0.7 < len(sent_s[mav.Heartbeat]) / link.now() < 1.5, "one a second, and where a procedure begins"
+    assert len(sent_s[mav.Heartbeat]) < 1.5 * link.now(), "one a second, and where a procedure begins"
 
 
 def test_cuts_and_reboots_are_bridged_and_no_calibration_result_is_missed(

@@ -182,7 +182,7 @@ MOST_HEARD_BYTES = 4096
 
 async def stream(station: Station, socket: WebSocket) -> None:
     """Send `now` and what a run's trail has grown by at the listener's rate, the rest as it changes."""
-    rate_hz = _rate(socket.query_params.get("rate_hz"))
+    rate_hz = sensible_rate_hz(socket.query_params.get("rate_hz"))
     with contextlib.suppress(WebSocketDisconnect):
         await socket.accept()
         goodbye = asyncio.ensure_future(_until_gone(socket))
@@ -222,7 +222,8 @@ async def _until_gone(socket: WebSocket) -> None:
         return
 
 
-def _rate(text: str | None) -> float:
+def sensible_rate_hz(text: str | None) -> float:
+    """Return the rate that a listener asked for, within limits; the usual one where that is no number."""
     try:
         rate_hz = float(text or DEFAULT_HZ)
     except ValueError:
