@@ -235,10 +235,13 @@ def test_noise_alone_keeps_no_autopilot_from_being_right() -> None:
         assert np.mean(np.less(worst, 1.8)) > 0.9
 
 
-@pytest.mark.parametrize(("wander_deg", "rms_deg"), [(0.0, 0.5), (3.0, 3.3)])
-def test_what_it_is_off_now_is_told_better_than_by_the_latest_sample(
-    wander_deg: float, rms_deg: float
+@pytest.mark.parametrize(
+    ("wander_deg", "noise_deg", "rms_deg"), [(0.0, 0.9, 0.3), (3.0, 0.9, 0.9), (3.0, 3.0, 2.4)]
+)
+def test_what_it_is_off_now_is_told_better_than_by_the_latest_sample_or_their_mean(
+    wander_deg: float, noise_deg: float, rms_deg: float
 ) -> None:
     rng = np.random.default_rng(9)
-    told = [watched(rng, 0.5, wander_deg, 0.9).error_deg - 0.5 for _ in range(100)]
-    assert np.sqrt(np.mean(np.square(told))) < rms_deg
+    seen = [watched(rng, 0.5, wander_deg, noise_deg) for _ in range(100)]
+    wrong_deg = [own.error_deg - 0.5 - (own.samples[-1][3] - 179.9) for own in seen]
+    assert np.sqrt(np.mean(np.square(wrong_deg))) < rms_deg

@@ -47,7 +47,10 @@ def test_a_service_says_which_there_are_until_one_is_named(tmp_path: Path) -> No
         assert station.view is None
     with station_at(tmp_path, 3) as station:
         wait_for(lambda: station.view)
-        assert station.view is not None and station.view.identity.system == 3
+        assert station.view is not None and station.view.identity.system == 3 and station.link is not None
+        station.link.statistics.shared.add(3)
+        (told,) = wait_for(lambda: [one for one in station.findings if one.id == "link"])
+        assert told.instance == 0 and told.short == "Compass: two autopilots share a system id"
     with station_at(tmp_path, 4) as station:  # which is not there
         wait_for(lambda: station.link and station.link.statistics.received > 200)
         assert station.view is None

@@ -72,6 +72,7 @@ HELP = {
     "udpim:0.0.0.0:14550": "Did you mean udpin:0.0.0.0:14550?",
     "udpin:14550": "Did you mean udpin:0.0.0.0:14550?",
     "tcp:raspberrypi": "Did you mean tcp:raspberrypi:14550?",
+    "192.168.1.1:5760": "Did you mean tcp:192.168.1.1:5760, or udpout:",
     "tcp:host:0": "1 to 65535",
     "tcp:host:70000": "1 to 65535",
     "udpout:0.0.0.0:14550": "Did you mean|this machine",
