@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import math
 import os
 import signal
 import socket
@@ -141,8 +142,7 @@ class Service:
 
     async def _watch(self) -> None:
         """Tell the service manager that all is well, as long as it is."""
-        watchdog_s = self._notifier.watchdog_s
-        every_s = _BEAT_EVERY_S if watchdog_s is None else min(_BEAT_EVERY_S, watchdog_s / 3.0)
+        every_s = min(_BEAT_EVERY_S, self._notifier.watchdog_s / 3.0)
         status = ""
         while True:
             if not self._is_stuck():
@@ -259,11 +259,11 @@ class Notifier:
                 pass  # the manager went away; it will restart us if it wants
 
 
-def _watchdog_s(environment: Mapping[str, str]) -> float | None:
-    """Return the watchdog's time, None where there is none or it is meant for another process."""
+def _watchdog_s(environment: Mapping[str, str]) -> float:
+    """Return the watchdog's time, for ever where there is none or it is meant for another process."""
     if environment.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
-        return None
+        return math.inf
     try:
         return int(environment["WATCHDOG_USEC"]) * 1e-6
     except (KeyError, ValueError):
-        return None
+        return math.inf

@@ -60,7 +60,8 @@ def values_of(link: SimulatedLink) -> dict[str, float]:
 def test_its_result_is_judged_by_ours_and_written_by_us(kind: str, tmp_path: Path) -> None:
     link = on_the_bench(kind)
     before = values_of(link)
-    report = own(link, tmp_path, reboot=True)
+    said = list[str]()
+    report = own(link, tmp_path, lambda show: said.append(show.text), reboot=True)
     vehicle, result = link.autopilot, report.results[0]
     assert isinstance(vehicle, SimulatedAutopilot)
     assert report.written and report.proof is not None and report.proof.passed
@@ -70,6 +71,7 @@ def test_its_result_is_judged_by_ours_and_written_by_us(kind: str, tmp_path: Pat
     assert heading_error_rms_deg(vehicle) < 0.3
     assert not vehicle.firmware.calibration.running  # type: ignore[attr-defined]
     assert report.outcome is not None and report.outcome.undo_file is not None
+    assert any(text.startswith("Noting ") for text in said) is (kind == "px4-copter")
     # What leads back is the calibration before, not what the autopilot stored on the way.
     assert all(before[change.name] == pytest.approx(change.old) for change in report.plan.changes)  # type: ignore[union-attr]
 

@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
+import math
 import os
 import socket
+import time
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from running_service import StartService
 
 from mavcompass.service.run import Notifier
+
+
+def test_the_manager_is_told_three_times_in_the_watchdogs_time(
+    manager: socket.socket, monkeypatch: pytest.MonkeyPatch, start_service: StartService
+) -> None:
+    monkeypatch.setenv("NOTIFY_SOCKET", manager.getsockname())
+    monkeypatch.setenv("WATCHDOG_USEC", "900000")
+    start_service()
+    heard = [(manager.recv(1000), time.monotonic()) for _ in range(12)]
+    alive_s = [at_s for words, at_s in heard if words == b"WATCHDOG=1"]
+    assert len(alive_s) > 6 and min(b - a for a, b in pairwise(alive_s[4:])) < 0.4
 
 
 def test_the_manager_hears_ready_alive_and_stopping(manager: socket.socket) -> None:
@@ -34,7 +49,7 @@ def test_without_a_manager_nothing_happens(tmp_path: Path) -> None:
     notifier = Notifier({})
     notifier.ready("x")
     assert not notifier.active
-    assert notifier.watchdog_s is None
+    assert notifier.watchdog_s == math.inf
     Notifier({"NOTIFY_SOCKET": str(tmp_path / "gone")}).alive()
 
 
@@ -43,11 +58,9 @@ def test_without_a_manager_nothing_happens(tmp_path: Path) -> None:
     [
         ({"WATCHDOG_USEC": "30000000"}, 30.0),
         ({"WATCHDOG_USEC": "30000000", "WATCHDOG_PID": str(os.getpid())}, 30.0),
-        ({"WATCHDOG_USEC": "30000000", "WATCHDOG_PID": "1"}, None),
-        ({"WATCHDOG_USEC": "soon"}, None),
+        ({"WATCHDOG_USEC": "30000000", "WATCHDOG_PID": "1"}, math.inf),
+        ({"WATCHDOG_USEC": "soon"}, math.inf),
     ],
 )
-def test_the_watchdog_is_taken_from_the_environment(
-    environment: dict[str, str], watchdog_s: float | None
-) -> None:
+def test_the_watchdog_is_taken_from_the_environment(environment: dict[str, str], watchdog_s: float) -> None:
     assert Notifier(environment).watchdog_s == watchdog_s

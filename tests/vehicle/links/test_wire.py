@@ -131,11 +131,12 @@ def test_losses_are_counted_by_sequence_numbers(port: UdpTransport) -> None:
     assert link.statistics.lost == 4
 
 
-def test_a_restarted_sender_is_not_a_loss() -> None:
+@pytest.mark.parametrize(("back_to", "late"), [(0, 0), (83, 0), (84, 1), (99, 1)])
+def test_a_restarted_sender_is_not_a_loss(back_to: int, late: int) -> None:
     statistics = SourceStatistics()
-    for sequence in [*range(100), *range(10)]:
+    for sequence in [*range(100), back_to]:
         statistics.count(sequence)
-    assert (statistics.lost, statistics.received) == (0, 110)
+    assert (statistics.lost, statistics.late, statistics.received) == (0, late, 101)
 
 
 # --- connections that are refused or break -------------------------------------------------------
