@@ -158,9 +158,9 @@ class Dialect(ABC):
         `reasons` are the vehicle's not to arm; empty where they name anything beside that, or nothing.
         """
 
+    @abstractmethod
     def prompt_estimator(self, parameters: Mapping[str, float], flying: bool) -> Mapping[str, float]:
         """Return parameters at which the estimator follows its compass within seconds; {} where none do."""
-        return {}
 
     def take_compass_yaw(
         self, context: Context, parameters: Mapping[str, float], flying: bool
@@ -244,8 +244,7 @@ class Overrides:
         """
 
         def loading() -> Script[str]:
-            prompt = self.dialect.prompt_estimator(parameters, flying=False)
-            if prompt and (yield from self.hold(context, prompt)):
+            if (yield from self.hold(context, self.dialect.prompt_estimator(parameters, flying=False))):
                 yield from pause(context, TAKES_S)
             how = yield from self.dialect.load_written(context, written)
             yield from pause(context, TAKES_S)

@@ -88,9 +88,9 @@ class CompassDialect(Dialect):
     ) -> Judgement:
         """Check what a compass would hold: reasons against it, and what a person should know."""
 
+    @abstractmethod
     def in_order(self, changes: tuple[Change, ...]) -> tuple[Change, ...]:
         """Put changes in the order of writing, which is undone from its end."""
-        return changes
 
     def uncommitted(
         self, before: Mapping[str, float], after: Mapping[str, float], judged: Iterable[int]
