@@ -20,6 +20,7 @@ from mavcompass.service.station import Station
 from mavcompass.service.view import VehicleView
 from mavcompass.service.watch import COURSE_SPEED_MPS, Finding
 from mavcompass.service.work.learning import Lesson
+from mavcompass.vehicle.link import LinkStatistics
 
 SCHEMA = "mavcompass.state/1"
 
@@ -110,7 +111,7 @@ def finding_json(finding: Finding) -> dict[str, Any]:
 
 def _link_json(station: Station) -> dict[str, Any]:
     link, view = station.link, station.view
-    counts = None if link is None else link.statistics
+    counts = LinkStatistics() if link is None else link.statistics
     silent_s = None if link is None or view is None else _number(link.now() - view.heard_s)
     return {
         "source": station.config.vehicle.source,
@@ -120,10 +121,10 @@ def _link_json(station: Station) -> dict[str, Any]:
         "silent_s": silent_s if silent_s is None else round(silent_s, 3),
         "reconnects": 0 if view is None else view.reconnects,
         "reboots": 0 if view is None else view.reboots,
-        "received": 0 if counts is None else counts.received,
-        "lost": 0 if counts is None else counts.lost,
-        "malformed": 0 if counts is None else counts.malformed,
-        "dropped": 0 if counts is None else counts.dropped,
+        "received": counts.received,
+        "lost": counts.lost,
+        "malformed": counts.malformed,
+        "dropped": counts.dropped,
     }
 
 

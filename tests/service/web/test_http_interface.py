@@ -18,7 +18,7 @@ from mavcompass.service.config import HeadingConfig
 from mavcompass.service.run import Service, link_opener
 from mavcompass.service.station import Station
 from mavcompass.service.web.app import build_app
-from mavcompass.service.web.state import sensible_rate_hz
+from mavcompass.service.web.state import sensible_rate_hz, state_json
 from mavcompass.service.work.history import History
 from mavcompass.service.work.jobs import Gaps
 from mavcompass.simulation.heading_error import heading_error_rms_deg
@@ -248,6 +248,7 @@ def test_a_service_that_hears_no_vehicle_and_is_stuck_says_so(tmp_path: Path) ->
     for reason, said in (("", "The vehicle is not heard."), ("It is unplugged.", "It is unplugged.")):
         station.link_error = reason
         assert asyncio.run(answers()) == [(503, said), (503, said), (503, "The station is stuck.")]
+    assert {name for name, value in state_json(station)["link"].items() if value} == {"source", "error"}
     history.close()
 
 
