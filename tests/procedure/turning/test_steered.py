@@ -98,6 +98,13 @@ def test_a_rate_grows_for_as_long_as_its_way_says_to_what_is_slowed_down_from_in
     assert rates[18] == pytest.approx(0.5 * most_dps, rel=0.1)  # after two seconds
 
 
+def test_what_turns_too_slowly_once_it_has_gathered_way_is_asked_for_more_but_not_ever_more() -> None:
+    vehicle = Vehicle(GyroAngle(), share=0.5)
+    turned(steered(vehicle, coast_s=0.0), vehicle, 200.0)
+    rates = [rate for rate, _ in vehicle.asked]
+    assert max(rates[:5]) == pytest.approx(40.0) and max(rates[:30]) == pytest.approx(64.0) == max(rates)
+
+
 @pytest.mark.parametrize(("coasts_deg", "driven_deg"), [(0.0, 88.5), (24.0, 90.0 - 1.6 * 40.0), (500.0, 2.0)])
 def test_coasting_is_expected_and_then_learned_within_bounds(coasts_deg: float, driven_deg: float) -> None:
     vehicle = Vehicle(GyroAngle())
