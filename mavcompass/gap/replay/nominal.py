@@ -21,12 +21,12 @@ from mavcompass.gap.attitude.reference import Choice, Reference, reference_attit
 from mavcompass.gap.replay.integrity import Readings, Trace
 from mavcompass.gap.replay.noise import SensorNoise
 from mavcompass.gap.replay.nuisance import (
-    AGE,
     WORLD_FIELD,
     KnownIron,
     Prior,
     known_iron,
     load_of,
+    of_telemetry,
     reference_attitude_error,
 )
 from mavcompass.gap.replay.rows import compass_rows, middles, shared_period_s, swing, unbroken
@@ -179,8 +179,7 @@ def replay(
     position = position_of(track, reference)
     turns = thinned(Turning(rows.time_s, told.rotation, told.rate_radps, reference.rotation))
     stimulus = _stimulus(track, position, taken_s, rows.width, reference, field, turns)
-    load, source = load_of(correction.motor_source, stimulus.current_a, stimulus.throttle)
-    iron = known_iron(correction, load, source)
+    iron = known_iron(correction, *load_of(correction.motor_source, stimulus.current_a, stimulus.throttle))
     seen = rotate_back(whole.rotation, np.broadcast_to(field, raw.shape))
     readings = Readings.of(rows.time_s, raw, iron.raw(seen, np.interp(taken_s, time_s, iron.load)), known)
     if rows.width > 1:
@@ -195,7 +194,6 @@ def replay(
         column(series, time_s, rows.width, rows.time_s) + (every - averaged(every, rows.width))[picked]
         for series, every in ((track.acc_mps2, _at_rest(whole)), (track.gyro_radps, whole.rate_radps))
     )
-    measured = Reading(raw, acc, gyro)
     independent = reference.kind == "columns"
     about = goes_about(position, reference)
     present = present_in(stimulus, reference, about, reference.known & usable)
@@ -221,13 +219,14 @@ def replay(
                 motion_note = ("The accelerometer feels motion that the recording does not tell: left out.",)
                 continue
             groups = (*groups, name)
+    read_every_s = float(np.median(np.diff(readings.time_s))) if rows.telemetry else 0.0
     return Replay(
         signals=Signals(stimulus, nominal),
-        measured=measured,
+        measured=Reading(raw, acc, gyro),
         valid=valid,
         groups=groups,
         prior=_prior(
-            reference, stimulus, raw if corrected is None else corrected, sigma, rows.telemetry, valid, told_s
+            reference, stimulus, raw if corrected is None else corrected, sigma, read_every_s, valid, told_s
         ),
         present=present,
         reference=reference,
@@ -307,10 +306,11 @@ def _prior(
     stimulus: Stimulus,
     calibrated: FloatArray,
     field_sigma: FloatArray,
-    telemetry: bool,
+    read_every_s: float,
     valid: NDArray[np.bool_],
     late_s: float,
 ) -> Prior:
+    """Say what is usual; an autopilot reads its compass `read_every_s`, 0 where none reports it."""
     field_unknown = bool(field_sigma[0] >= usual.place.unknown_mgauss)
     found = [Prior.of(WORLD_FIELD, np.zeros(3), field_sigma)]
     # With an unknown field, north is where the field points: a constant yaw error means nothing.
@@ -324,8 +324,8 @@ def _prior(
         sigma[:], sigma[0] = 1.0, max(constant, 1e-9)
         effect = reference_attitude_error(reference.curves_rad, reference.with_yaw)
         found.append(Prior.of(effect, mean, sigma))
-    if telemetry:
-        found.append(Prior.of(AGE, np.array([usual.age.usual_s - late_s]), np.array([usual.age.sigma_s])))
+    if read_every_s > 0.0:
+        found += of_telemetry(late_s, read_every_s)
     return Prior().beside(*found)
 
 

@@ -1,7 +1,8 @@
 """What a replay does not know exactly and must solve for besides any effect: never named as a cause.
 
 Nuisances have a forward model like effects, and a prior: the field's model error, the reference's yaw, the
-age of telemetry, the iron that the calibration in force cures. A gap that fits inside these priors is none.
+age of telemetry and over how long it is a mean, the iron that the calibration in force cures. A gap that
+fits inside these priors is none.
 ArduPilot's correction, field = M ((raw + ofs) scale) + motor load, read backwards, says what the raw sensor
 does:
 
@@ -13,6 +14,7 @@ refutes that, of another iron.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -23,10 +25,11 @@ from mavcompass.correction import IDENTITY, FieldCorrection, MotorSource
 from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back, rotvec_to_matrix
 from mavcompass.gap.result import Iron
 from mavcompass.gap.tables import usual
-from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S, late_field
-from mavcompass.simulation.effects.effect import Effect, Memory, Parameter, Rng, Signals, Stage
+from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S, late_field, low_pass
+from mavcompass.simulation.effects.effect import SMOOTHING, Effect, Memory, Parameter, Rng, Signals, Stage
 
-REFERENCE_YAW, TELEMETRY_AGE = "reference yaw", "telemetry age"
+REFERENCE_YAW = "reference yaw"
+TELEMETRY_AGE, TELEMETRY_MEAN = "telemetry age", "telemetry mean"
 IRON_MATRIX, IRON_OFFSET = "iron matrix in force", "iron offset in force"
 _ENTRIES = tuple(f"{row}{column}" for row in "xyz" for column in "xyz")
 
@@ -173,6 +176,24 @@ AGE = Effect(
     parameters=(Parameter("age", "s", -LONGEST_LAG_S, LONGEST_LAG_S, 0.08, 0.005),),
     forward=_telemetry_age,
 )
+
+
+def of_telemetry(late_s: float, every_s: float) -> tuple[Prior, Prior]:
+    """Tell what is usual of an autopilot that reads its compass every so many seconds, and reports it late.
+
+    It may average all that the sensor says meanwhile: times then vary by a twelfth of the square, as those of
+    a low pass do by the square of its time constant.
+    """
+    age = Prior.of(AGE, np.array([usual.age.usual_s - late_s]), np.array([usual.age.sigma_s]))
+    most_s = every_s / math.sqrt(12.0)
+    averaged = Effect(
+        id=TELEMETRY_MEAN,
+        title="over how long an autopilot averages what it reports",
+        stage=Stage.TIMING,
+        parameters=(Parameter(SMOOTHING, "s", 0.0, most_s, 0.5 * most_s, 0.005),),
+        forward=low_pass,
+    )
+    return age, Prior.of(averaged, np.array([0.5 * most_s]), np.array([0.5 * most_s]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,6 +27,7 @@ from mavcompass.gap.replay.nuisance import (
     REFERENCE_YAW,
     STATED,
     TELEMETRY_AGE,
+    TELEMETRY_MEAN,
     WORLD_FIELD,
     Prior,
     Trust,
@@ -182,7 +183,7 @@ def _represents(problem: Problem, fit: Fit) -> bool:
 def _posterior(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust: Trust | None) -> Prior:
     """Carry over what a baseline tells of the vehicle and its place, with the joint covariance that it
     leaves."""
-    kept = {IRON_MATRIX, IRON_OFFSET, TELEMETRY_AGE}
+    kept = {IRON_MATRIX, IRON_OFFSET, TELEMETRY_AGE, TELEMETRY_MEAN}
     if _same_place(replay, baseline):
         kept.add(WORLD_FIELD.id)
     own, there = prior_of(replay, trust), problem.prior.places

@@ -20,9 +20,11 @@ from mavcompass.gap.attitude.reference import Reference, body_rate
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.replay.noise import white
 from mavcompass.gap.replay.nominal import replay
+from mavcompass.gap.replay.nuisance import of_telemetry
 from mavcompass.gap.replay.rows import compass_rows, middles, shared_period_s, swing, unbroken
 from mavcompass.gap.residual.baseline import prior_of
 from mavcompass.gap.residual.floor import STATED
+from mavcompass.gap.tables import usual
 from mavcompass.gap.trial.vehicles import make_case
 from mavcompass.track import MagSeries, Series, Track
 
@@ -178,3 +180,16 @@ def test_too_few_readings_name_the_compass_that_has_more() -> None:
     with pytest.raises(BadRecording) as caught:
         compass_rows(alone, alone.compasses[1])
     assert "half a minute" in caught.value.remedy
+
+
+@pytest.mark.parametrize("step_s", [0.1, 0.04])
+def test_an_autopilots_means_are_a_low_pass_that_is_as_wide_and_no_wider_than_its_reading_allows(
+    step_s: float,
+) -> None:
+    age, mean = of_telemetry(0.02, step_s)
+    (smoothing,) = mean.effects
+    assert age.mean[0] == pytest.approx(usual.age.usual_s - 0.02)
+    # Readings of all the time between two differ in their times by as much as those of a low pass.
+    over = np.linspace(0.0, step_s, 10_001)
+    assert smoothing.upper[0] == pytest.approx(over.std(), rel=1e-3)
+    assert 0.0 == smoothing.lower[0] < mean.mean[0] < smoothing.upper[0]

@@ -64,3 +64,10 @@ def test_gyro_stays_what_it_is_where_a_turned_compass_leans_the_autopilot(seed: 
     assert [effect for effect, _ in case.effects] == ["orientation"] and case.baseline is not None
     flight, before = (replay(track).reference.errors["gyro offset"] for track in (case.track, case.baseline))
     np.testing.assert_allclose(flight.mean, before.mean, atol=0.006)
+
+
+@pytest.mark.parametrize("seed", [471040, 473048])
+def test_a_compass_whose_readings_are_means_is_smoothed_by_nothing_else(seed: int) -> None:
+    """A baseline is too short to show what a longer drive does: they are means of a tenth of a second."""
+    case = make_case(seed, "none")
+    assert diagnose_gap(case.track, case.baseline).verdict == "no_gap"

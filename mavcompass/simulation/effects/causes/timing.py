@@ -100,7 +100,8 @@ def _lag(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signa
     return signals.with_mag(late_field(signals, signals.stimulus.time_s - theta[0], memory))
 
 
-def _low_pass(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
+def low_pass(signals: Signals, theta: FloatArray, memory: Memory, rng: Rng) -> Signals:
+    """Return the readings as a first-order low pass with a time constant in seconds, (1,), has them."""
     time, field = signals.stimulus.time_s, signals.reading.mag_mgauss
     if isinstance(signals.stimulus, RecordedStimulus):
         return signals.with_mag(late_field(signals, time, time_constant_s=float(theta[0])))
@@ -160,7 +161,7 @@ EFFECTS = (
         title="the reading is smoothed by a first-order low pass",
         stage=Stage.TIMING,
         parameters=(Parameter("time_constant_s", "s", 0.001, LONGEST_LAG_S, 0.08, 0.01),),
-        forward=_low_pass,
+        forward=low_pass,
         needs=frozenset({"turning"}),
         aliases=("transport_lag", "eddy_current"),
         separated_by="fast oscillation near the corner frequency",
