@@ -6,8 +6,8 @@ The form is ArduPilot's, in body axes:
                                                             [OX, DY, OZ],
                                                             [OY, OZ, DZ]]
 
-with the diagonal D, the off-diagonals O, and `load` the battery current in amperes or the throttle
-as a fraction. PX4's form is brought into this one by `compass_parameters`.
+with the diagonal D, the off-diagonals O, and `load` the battery current in amperes, the throttle as a
+fraction, or one number for each motor. PX4's form is brought into this one by `compass_parameters`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
 
 Vector = tuple[float, float, float]
-MotorSource = Literal["none", "throttle", "current"]
+MotorSource = Literal["none", "throttle", "current", "outputs"]
+# COMPASS_PMOT_EXP as it comes.
+USUAL_EXPONENT = 0.65
 
 
 # No magnetometer's range is a hundred gauss; ArduPilot's own calibration takes scales from 0.2 to 5.
@@ -30,8 +32,12 @@ _MOST_MGAUSS, _MOST_STRETCH = 1e5, 50.0
 
 
 def _vector(values: ArrayLike) -> Vector:
-    x, y, z = (float(v) for v in np.asarray(values, dtype=np.float64).reshape(3))
+    x, y, z = _numbers(values)
     return (x, y, z)
+
+
+def _numbers(values: ArrayLike) -> tuple[float, ...]:
+    return tuple(np.asarray(values, dtype=np.float64).ravel().tolist())
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,16 +48,29 @@ class FieldCorrection:
         offsets_mgauss: added to the raw field (so minus the hard iron), milligauss.
         diagonals, off_diagonals: the symmetric matrix M; off_diagonals are (xy, xz, yz).
         scale: the scalar that multiplies the whole field.
-        motor_mgauss: field added per unit of motor load, milligauss per ampere or at full throttle.
-        motor_source: which load `motor_mgauss` goes with.
+        motor_mgauss: field added per unit of motor load, milligauss per ampere or at full throttle; three
+            numbers for each load.
+        motor_source: which load `motor_mgauss` goes with; "outputs" are one for each of ArduPilot's motors
+            1 to 4, see `Track.motor_load`. motor_exponent: theirs.
     """
 
     offsets_mgauss: Vector = (0.0, 0.0, 0.0)
     diagonals: Vector = (1.0, 1.0, 1.0)
     off_diagonals: Vector = (0.0, 0.0, 0.0)
     scale: float = 1.0
-    motor_mgauss: Vector = (0.0, 0.0, 0.0)
+    motor_mgauss: tuple[float, ...] = (0.0, 0.0, 0.0)
     motor_source: MotorSource = "none"
+    motor_exponent: float = USUAL_EXPONENT
+
+    @property
+    def motors(self) -> FloatArray:
+        """Return what is added per unit of each load, shape (loads, 3)."""
+        return np.reshape(self.motor_mgauss, (-1, 3))
+
+    @property
+    def goes_with(self) -> tuple[MotorSource, float]:
+        """Return which load the motor term goes with: source and exponent."""
+        return self.motor_source, self.motor_exponent
 
     @property
     def matrix(self) -> FloatArray:
@@ -104,12 +123,12 @@ class FieldCorrection:
             diagonals=_vector(np.diag(m)),
             off_diagonals=_vector([m[0, 1], m[0, 2], m[1, 2]]),
             scale=float(scale),
-            motor_mgauss=_vector(motor_mgauss),
+            motor_mgauss=_numbers(motor_mgauss),
             motor_source=motor_source,
         )
 
     def apply(self, raw_mgauss: ArrayLike, load: ArrayLike | None = None) -> FloatArray:
-        """Correct raw readings (..., 3), in milligauss, given the motor load (...)."""
+        """Correct raw readings (..., 3), in milligauss, given the motor load (...), of outputs (..., 4)."""
         raw = np.asarray(raw_mgauss, dtype=np.float64)
         corrected = (raw + np.asarray(self.offsets_mgauss)) @ self.matrix.T
         return corrected if load is None else corrected + self.motor_field(load)
@@ -125,9 +144,12 @@ class FieldCorrection:
         return field @ self.inverse.T - np.asarray(self.offsets_mgauss)
 
     def motor_field(self, load: ArrayLike) -> FloatArray:
-        """Return the compensation (..., 3) for a motor load (...); an unknown load (nan) gives none."""
+        """Return the compensation (..., 3) for a motor load (...), of outputs (..., 4); an unknown load (nan)
+        gives none."""
         known = np.nan_to_num(np.asarray(load, dtype=np.float64), nan=0.0)
-        return known[..., np.newaxis] * np.asarray(self.motor_mgauss)
+        if self.motor_source != "outputs":
+            known = known[..., np.newaxis]
+        return np.asarray(known @ self.motors)
 
     def then(self, later: FieldCorrection) -> FieldCorrection:
         """Compose: one correction that does this one and then `later` to its output.
@@ -135,33 +157,37 @@ class FieldCorrection:
         Raises ValueError where the product of the matrices is not symmetric, or the two motor terms
         go with different loads.
         """
-        sources = {c.motor_source for c in (self, later) if any(c.motor_mgauss)}
-        if len(sources) > 1:
+        loads = [c for c in (self, later) if any(c.motor_mgauss)]
+        if len({c.goes_with for c in loads}) > 1:
             raise ValueError("corrections for different motor loads do not compose")
         offsets = np.asarray(self.offsets_mgauss) + np.linalg.solve(self.matrix, later.offsets_mgauss)
-        return FieldCorrection.from_matrix(
-            offsets,
-            later.matrix @ self.matrix,
-            scale=self.scale * later.scale,
-            motor_mgauss=later.matrix @ np.asarray(self.motor_mgauss) + np.asarray(later.motor_mgauss),
-            motor_source=sources.pop() if sources else "none",
+        plain = FieldCorrection.from_matrix(
+            offsets, later.matrix @ self.matrix, scale=self.scale * later.scale
         )
+        return plain.with_motors(self.motors @ later.matrix.T + later.motors, loads[0] if loads else IDENTITY)
 
     def turned(self, rotation: FloatArray) -> FieldCorrection:
         """Return this correction for raw readings, and a field, that are turned by a rotation (3, 3)."""
-        return FieldCorrection.from_matrix(
-            rotation @ np.asarray(self.offsets_mgauss),
-            rotation @ self.matrix @ rotation.T,
-            self.scale,
-            rotation @ np.asarray(self.motor_mgauss),
-            self.motor_source,
+        plain = FieldCorrection.from_matrix(
+            rotation @ np.asarray(self.offsets_mgauss), rotation @ self.matrix @ rotation.T, self.scale
         )
+        return plain.with_motors(self.motors @ rotation.T, self)
 
     def with_motor_of(self, other: FieldCorrection) -> FieldCorrection:
         """Carry the motor term of another correction of the same compass into this matrix."""
-        at_the_sensor = np.linalg.solve(other.matrix, np.asarray(other.motor_mgauss))
+        return self.with_motors((self.matrix @ np.linalg.solve(other.matrix, other.motors.T)).T, other)
+
+    def without_outputs(self) -> FieldCorrection:
+        """Leave the motor term out, if that is one for each motor."""
+        return self.with_motors(IDENTITY.motors, IDENTITY) if self.motor_source == "outputs" else self
+
+    def with_motors(self, motors_mgauss: FloatArray, of: FieldCorrection) -> FieldCorrection:
+        """Take a motor term, (loads, 3), for the loads of another correction."""
         return replace(
-            self, motor_mgauss=_vector(self.matrix @ at_the_sensor), motor_source=other.motor_source
+            self,
+            motor_mgauss=_numbers(motors_mgauss),
+            motor_source=of.motor_source,
+            motor_exponent=of.motor_exponent,
         )
 
 

@@ -20,6 +20,7 @@ from mavcompass.track import Series, Track
 # ICM-45686 4000 deg/s, hall sensors 1000 A, thermometers 150 degrees, receivers 500 m/s.
 _LARGEST: dict[str, float | tuple[float, ...]] = {
     **{"compass": 98_240.0, "acc_mps2": 785.0, "gyro_radps": 140.0, "current_a": 2_000.0},
+    "voltage_v": 1_000.0,
     **{"temperature_degc": 300.0, "gps_velocity_mps": 1_000.0, "receiver_velocity_mps": 1_000.0},
     # An angle may be one that was never wrapped; beyond this a float's step is a hundredth of a radian.
     **{"attitude_rad": 1e5, "gps_yaw_rad": 1e5},

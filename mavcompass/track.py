@@ -10,17 +10,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mavcompass.correction import IDENTITY, FieldCorrection
+from mavcompass.correction import IDENTITY, USUAL_EXPONENT, FieldCorrection
 from mavcompass.errors import BadRecording
 from mavcompass.frames import FloatArray
 from mavcompass.saturation import may_saturate, saturated
 
 # The field in RAW_IMU is the average of the last 100 ms, repeated until the next: it lags while turning.
 ARDUPILOT_LAG_S = 0.09
+# SERVOn_FUNCTION of the motors that ArduPilot corrects for one by one; of the voltage it keeps so much of the
+# value of 0.1 s before.
+MOTORS_1_TO_4, _KEPT_OF_VOLTAGE = frozenset({33.0, 34.0, 35.0, 36.0}), 0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,7 +167,7 @@ class Track:
         receiver_velocity_mps: as the receiver itself measured it, where gps_velocity_mps is the autopilot's
             estimate, which a bent compass bends; (N, 3), down may be nan.
         place: latitude deg, longitude deg, altitude m, (N, 3).
-        current_a, throttle (0..1), temperature_degc: (N,); motors: outputs 0..1, (N, k).
+        current_a, voltage_v, throttle (0..1), temperature_degc: (N,); motors: outputs 0..1, (N, k).
         utc_offset_s: Unix time of time_s = 0; None where unknown.
         parameters: the vehicle's parameters as last seen in the recording.
         texts: what the autopilot said, each once, the earliest first: its firmware, failsafes, a crash.
@@ -187,6 +191,7 @@ class Track:
     position_ned_m: Series | None = None
     place: Series | None = None
     current_a: Series | None = None
+    voltage_v: Series | None = None
     throttle: Series | None = None
     temperature_degc: Series | None = None
     motors: Series | None = None
@@ -195,10 +200,29 @@ class Track:
     texts: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
-    def motor_load(self, time_s: FloatArray, source: str) -> FloatArray | None:
-        """Return the load that a motor correction goes with, at other times; None where not recorded."""
-        series = {"current": self.current_a, "throttle": self.throttle}.get(source)
-        return None if series is None else series.at(time_s)
+    def motor_load(
+        self, time_s: FloatArray, source: str, exponent: float = USUAL_EXPONENT
+    ) -> FloatArray | None:
+        """Return the load of a motor correction at the times of readings; None where it was not recorded.
+
+        That of outputs, (N, 4), is ArduPilot's: output, of the range of MOT_PWM, times voltage, to a power
+        (Compass_PerMotor.cpp, scaled_output). The voltage is low-passed (Compass_PerMotor.h, set_voltage);
+        only a copter's code hands it on (ArduCopter, update_batt_compass: 10 Hz).
+        """
+        if source != "outputs":
+            series = {"current": self.current_a, "throttle": self.throttle}.get(source)
+            return None if series is None else series.at(time_s)
+        functions = {self.parameters.get(f"SERVO{n}_FUNCTION", 0.0) for n in range(1, 9)}
+        known = self.vehicle == "copter" and functions >= MOTORS_1_TO_4
+        if not known or self.motors is None or self.voltage_v is None:
+            return None
+        late, volts = time_s - self.field_lag_s, _low_passed(self.voltage_v)
+        product = self.motors.at(late)[:, :4] * volts.at(late)[:, np.newaxis]
+        return np.where(product > 0.0, np.maximum(product, 0.0) ** exponent, 0.0)
+
+    def load_of(self, correction: FieldCorrection, time_s: FloatArray) -> FloatArray | None:
+        """Return the load that a correction goes with, at the times of readings; None where not recorded."""
+        return self.motor_load(time_s, correction.motor_source, correction.motor_exponent)
 
     def compass(self, instance: int) -> MagSeries:
         """Return a compass's readings. Raises BadRecording where there are none."""
@@ -224,8 +248,7 @@ class Track:
         edges = [*np.searchsorted(compass.time_s, starts), len(compass.reported)]
         for step, first, last in zip(compass.in_force, edges[:-1], edges[1:], strict=True):
             rows = slice(int(first), int(last))
-            source = step.correction.motor_source if motors else "none"
-            load = self.motor_load(compass.time_s[rows], source)
+            load = self.load_of(step.correction, compass.time_s[rows]) if motors else None
             raw[rows] = step.correction.undo(compass.reported.values[rows], load)
         return raw
 
@@ -246,7 +269,7 @@ class Track:
         own = compass.not_applied
         if own is None:
             return np.asarray(compass.reported.values)
-        return own.apply(compass.reported.values, self.motor_load(compass.time_s, own.motor_source))
+        return own.apply(compass.reported.values, self.load_of(own, compass.time_s))
 
     def centred(self, instance: int) -> Track:
         """Put readings that were cut toward zero into the middle of their steps, so that averages are right.
@@ -313,6 +336,14 @@ class Track:
         """Return the time from the first to the last magnetometer reading of any compass."""
         ends = [(c.time_s[0], c.time_s[-1]) for c in self.compasses.values() if len(c.reported)]
         return float(max(e[1] for e in ends) - min(e[0] for e in ends)) if ends else 0.0
+
+
+def _low_passed(series: Series) -> Series:
+    """Smooth a voltage as ArduPilot does."""
+    kept = _KEPT_OF_VOLTAGE ** (np.diff(series.time_s, prepend=series.time_s[:1]) / 0.1)
+    steps = zip(kept.tolist(), series.values.tolist(), strict=True)
+    smooth = accumulate(steps, lambda was, now: (0.0, now[0] * was[1] + (1.0 - now[0]) * now[1]))
+    return Series(series.time_s, np.array([value for _, value in smooth]))
 
 
 def joined(tracks: Sequence[Track]) -> Track:

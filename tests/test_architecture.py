@@ -91,7 +91,7 @@ ROWS = {
         {"findings"},
         {"motion"},
         {"positions", "recorded"},
-        {"result", "first_state"},
+        {"result", "first_state", "cross_terms"},
         {"rigid"},
         {"observation", "model"},
     ],

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mavcompass.calibration.model import GAIN, GYRO_SCALE, HORIZONTAL, MOTOR
+from mavcompass.calibration.model import GAIN, GYRO_SCALE, HORIZONTAL
 from mavcompass.calibration.motion.fit import MotionFit
 from mavcompass.calibration.motion.honesty import Honesty
 from mavcompass.calibration.motion.observed import Motion
@@ -226,7 +226,7 @@ def findings(motion: Motion, honest: Honesty) -> tuple[tuple[str, ...], tuple[st
         words = left + _cause(sections, fit, load_source)
         (reasons if scatter > limit_deg else warnings).append(words)
     horizontal = abs(float(fit.state[HORIZONTAL]))
-    motors = float(np.linalg.norm(fit.state[MOTOR])) * float(np.ptp(sections.load))
+    motors = float(np.linalg.norm(np.ptp(sections.loads @ fit.motors_mgauss, axis=0)))
     if load_source != "none" and motors > _MOTORS_REFUSED_SHARE * horizontal:
         reasons.append(
             f"The motors' field of {motors:.0f} mG is {100.0 * motors / horizontal:.0f} % of the Earth's "
@@ -265,8 +265,8 @@ def _vertical_gain_known(fit: MotionFit) -> bool:
 def _cause(sections: Sections, fit: MotionFit, load_source: str) -> str:
     """Name what the scatter comes from, as far as the data show it, and what to do."""
     named = _NAMED_SHARE * abs(float(fit.state[HORIZONTAL]))
-    swing = float(np.ptp(sections.load))
-    per_unit = float(np.linalg.norm(fit.state[MOTOR]))
+    swing = float(np.ptp(sections.loads[:, 0]))
+    per_unit = float(np.linalg.norm(fit.motors_mgauss[0]))
     if load_source != "none" and per_unit * swing > named:
         load = (
             f"battery current swung by {swing:.0f} A and moves the field by {per_unit:.1f} mG/A"

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavcompass.calibration.model import GAIN, HEADINGS, HORIZONTAL, LINEAR, VERTICAL
+from mavcompass.calibration.model import GAIN, HEADINGS, HORIZONTAL, OFFSET, VERTICAL
 from mavcompass.calibration.rigid import PriorRows, Readings
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import EarthField
@@ -54,7 +54,7 @@ def first_state(
     Half a turn away and all gains negative the field is the same, and only the prior tells: near the best and
     opposite to it the heading is tried closely, so that what it is off by weighs less than that.
     """
-    x = np.zeros(HEADINGS + len(readings))
+    x = np.zeros(rules.rows.shape[1])
     x[GAIN], (x[HORIZONTAL], x[VERTICAL]) = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0), field_mgauss
 
     def tried(starts_rad: FloatArray) -> FirstState:
@@ -73,10 +73,10 @@ def _likeliest(readings: Readings, x: FloatArray, headings_rad: FloatArray, rule
     """Solve for the linear part at several headings, (S, K), robustly; return the state of least cost."""
     noise = _ROUGHLY * x[HORIZONTAL]
     residual, by = readings.linear(x, headings_rad)
-    trials = len(headings_rad)
-    by, residual = by.reshape(trials, -1, LINEAR.size) / noise, residual.reshape(trials, -1) / noise
-    held, off = rules.rows[:, LINEAR], rules.of(x)
-    found, weights = np.zeros((trials, LINEAR.size)), np.ones(residual.shape)
+    trials, linear = len(headings_rad), np.r_[OFFSET, GAIN, readings.motor]
+    by, residual = by.reshape(trials, -1, linear.size) / noise, residual.reshape(trials, -1) / noise
+    held, off = rules.rows[:, linear], rules.of(x)
+    found, weights = np.zeros((trials, linear.size)), np.ones(residual.shape)
     for _ in range(3):
         weighed = np.swapaxes(by * weights[:, :, np.newaxis], 1, 2)
         pull = (weighed @ residual[:, :, np.newaxis])[:, :, 0] - (off + found @ held.T) @ held
@@ -90,6 +90,6 @@ def _likeliest(readings: Readings, x: FloatArray, headings_rad: FloatArray, rule
     left = (trust * size**2).sum(axis=1)
     best = int(np.argmin(left + ((off + found @ held.T) ** 2).sum(axis=1)))
     x = x.copy()
-    x[LINEAR] += found[best]
-    x[HEADINGS:] = headings_rad[best]
+    x[linear] += found[best]
+    x[HEADINGS : HEADINGS + len(readings)] = headings_rad[best]
     return FirstState(x, rules, noise**2 * float(left[best]))

@@ -5,8 +5,8 @@ A stretch k of a recording, at magnetic heading psi_k and mean load I_k of the m
     r_k = b + T A_k (H cos psi_k, -H sin psi_k, Z) + m (I_k - mean I)                            (M1)
 
 with hard iron b, symmetric soft iron and gain T, the Earth's horizontal and vertical field H and Z, the
-motors' field m per unit of load, and A_k from level to body axes, the mean of tilt and turn about psi_k (S1):
-at rest the tilt L_k, but for what sways. A level heading psi has the error
+motors' field m per unit of load (of several loads a sum), and A_k from level to body axes, the mean of tilt
+and turn about psi_k (S1): at rest the tilt L_k, but for what sways. A level heading psi has the error
 
     d psi = (e_psi . T^-1 (db + dT f)) / H,   e_psi = (sin psi, cos psi, 0)                      (M2)
 
@@ -20,20 +20,18 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from mavcompass.frames import NO_HEADING_RAD, FloatArray, level_to_body
 from mavcompass.heading.compute import level_field
 
-# Places of the quantities in the state vector; the K headings follow.
+# Places of the quantities in the state vector; the K headings follow, then the fields of further loads.
 OFFSET = slice(0, 3)
 GAIN = slice(3, 9)
 HORIZONTAL, VERTICAL, GYRO_SCALE, GYRO_BIAS = 9, 10, 11, 12
 MOTOR = slice(13, 16)
 LAG = 16
 HEADINGS = 17
-# What a reading is linear in once the headings are given: offset, gain, motors.
-LINEAR = np.r_[OFFSET, GAIN, MOTOR]
 # The source of a heading's error that no further position averages out.
 ACCELEROMETER = "accelerometer"
 NAMES = (
@@ -60,6 +58,12 @@ CALIBRATED = NAMES[: GAIN.stop]
 # Row, column of each of the six gain parameters.
 _GAIN_ROWS = np.array([0, 1, 2, 0, 0, 1])
 _GAIN_COLUMNS = np.array([0, 1, 2, 1, 2, 2])
+
+
+def motor_places(readings: int, loads: int = 1) -> NDArray[np.intp]:
+    """Return where the state of so many readings has the field of each load, x, y, z, (3 loads,)."""
+    behind = HEADINGS + readings
+    return np.r_[MOTOR, behind : behind + 3 * (loads - 1)]
 
 
 def gain_matrix(parameters: ArrayLike) -> FloatArray:

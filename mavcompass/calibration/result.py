@@ -12,7 +12,7 @@ import numpy as np
 from mavcompass.calibration.model import ACCELEROMETER, HeadingError
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.frames import NO_HEADING_RAD, FloatArray
-from mavcompass.heading.deviation import DeviationCard, deviation_card, heading_change_rad
+from mavcompass.heading.deviation import NO_LOADS, DeviationCard, Loads, deviation_card, heading_change_rad
 from mavcompass.heading.true_north import TrueNorth
 
 # A difference of so many sigmas is no chance.
@@ -199,7 +199,7 @@ class CalibrationResult:
     horizontal_mgauss: float = math.nan
     vertical_mgauss: float = math.nan
     positions: tuple[Position, ...] = ()
-    loads: tuple[float, ...] = (0.0,)
+    loads: tuple[Loads, ...] = (NO_LOADS,)
     evidence: tuple[Witness, ...] = ()
     north: TrueNorth | None = None
     mounting: Mounting = field(default_factory=Mounting)
@@ -241,9 +241,9 @@ class CalibrationResult:
                     roll_rad,
                     pitch_rad,
                     self.mounting.turned,
-                    load,
+                    loads,
                 )
-                for load in self.loads
+                for loads in self.loads
             ]
         )
 
@@ -360,10 +360,15 @@ def summary(result: CalibrationResult) -> str:
         text += f", {result.heading_change_deg:.1f} deg off before"
     text = f"{text}. Offsets {x:.1f} {y:.1f} {z:.1f} mG, scale {dx:.3f} {dy:.3f}"
     if any(result.correction.motor_mgauss):
-        unit = "mG/A" if result.correction.motor_source == "current" else "mG at full throttle"
-        mx, my, mz = result.correction.motor_mgauss
-        text += f", motors {mx:.1f} {my:.1f} {mz:.1f} {unit}"
+        text += f", motors {_motor_words(result.correction)}"
     return f"{text}."
+
+
+def _motor_words(correction: FieldCorrection) -> str:
+    of_each = "; ".join(f"{x:.1f} {y:.1f} {z:.1f}" for x, y, z in correction.motors.tolist())
+    if correction.motor_source == "outputs":
+        return f"1 to 4 each by itself: {of_each} mG per (output x volt)^{correction.motor_exponent:g}"
+    return f"{of_each} {'mG/A' if correction.motor_source == 'current' else 'mG at full throttle'}"
 
 
 def before_and_after(result: CalibrationResult) -> str:

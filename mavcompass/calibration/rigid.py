@@ -1,7 +1,8 @@
 """A rigid compass at K headings that the gyro ties together: one least-squares problem for every motion.
 
 Still positions (`positions`) and sections of any motion (`motion`) read (M1) and are told apart only by how
-their covariances are known. The state has the numbers of `model.NAMES`, then the K headings.
+their covariances are known. The state has the numbers of `model.NAMES`, then the K headings, then those of
+further loads.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavcompass.calibration.model import (
     GAIN,
@@ -19,13 +21,12 @@ from mavcompass.calibration.model import (
     HEADINGS,
     HORIZONTAL,
     LAG,
-    LINEAR,
-    MOTOR,
     OFFSET,
     VERTICAL,
     gain_jacobian,
     gain_matrix,
     gain_parameters,
+    motor_places,
 )
 from mavcompass.chance import chance_of_more
 from mavcompass.correction import FieldCorrection
@@ -47,8 +48,6 @@ _SETTLED = 1e-3
 _GAIN_SIGMA = 0.1
 # Gains in force: ArduPilot keeps a calibration that leaves 16 mG rms at most of a field of some 500 mG.
 _IN_FORCE_SIGMA = 0.016
-# Before the data: most compasses away from steel have no cross terms that matter.
-CROSS_TERMS_BEFORE = 0.25
 _AXES = np.eye(3)
 
 
@@ -100,7 +99,7 @@ class Readings:
     Attributes:
         middle_s: when they were taken, in the middle, (K,).
         mean_mgauss: raw field, (K, 3). mapping: A of (M1), level axes to body axes, (K, 3, 3); by_lag: its
-            change per second of the field's lag. load: of the motors, (K,), less its mean.
+            change per second of the field's lag. loads: of the motors, (K, L), less their means.
         turned_rad: the gyro's angle then, (K,), clockwise. step_sigma_rad: of the K - 1 turns between,
             without the gyro's scale and bias.
     """
@@ -109,7 +108,7 @@ class Readings:
     mean_mgauss: FloatArray
     mapping: FloatArray
     by_lag: FloatArray
-    load: FloatArray
+    loads: FloatArray
     turned_rad: FloatArray
     step_sigma_rad: FloatArray
 
@@ -117,10 +116,15 @@ class Readings:
         """Count the readings."""
         return len(self.mean_mgauss)
 
+    @property
+    def motor(self) -> NDArray[np.intp]:
+        """Return the places of the loads' fields in the state, (3 L,)."""
+        return motor_places(*self.loads.shape)
+
     def linear(self, x: FloatArray, headings_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residuals (..., K, 3) at headings (..., K), whatever those of the state.
 
-        And the derivative of the prediction by what is linear then, `model.LINEAR`, (..., K, 3, 12).
+        And the derivative of the prediction by the linear part, offset, gain, motors: (..., K, 3, 9 + 3 L).
         """
         gain, mapping = gain_matrix(x[GAIN]), self.mapping + x[LAG] * self.by_lag
         return self._linear(x, gain, mapping, level_field(headings_rad, x[HORIZONTAL], x[VERTICAL]))
@@ -128,20 +132,21 @@ class Readings:
     def _linear(
         self, x: FloatArray, gain: FloatArray, mapping: FloatArray, level: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        load, body = self.load[:, np.newaxis], np.einsum("kij,...kj->...ki", mapping, level)
-        by = np.empty((*body.shape, LINEAR.size))
-        by[..., :3], by[..., 3:9], by[..., 9:] = _AXES, gain_jacobian(body), load[:, np.newaxis] * _AXES
-        return self.mean_mgauss - (x[OFFSET] + body @ gain + load * x[MOTOR]), by
+        body, motor = np.einsum("kij,...kj->...ki", mapping, level), self.motor
+        by = np.empty((*body.shape, 9 + motor.size))
+        by[..., :3], by[..., 3:9] = _AXES, gain_jacobian(body)
+        by[..., 9:] = np.kron(self.loads[:, np.newaxis], _AXES)
+        return self.mean_mgauss - (x[OFFSET] + body @ gain + self.loads @ x[motor].reshape(-1, 3)), by
 
     def field(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the residuals (K, 3) and the derivative of the prediction by the state, (K, 3, P)."""
         k = len(self)
-        psi, h = x[HEADINGS:], x[HORIZONTAL]
+        psi, h = x[HEADINGS : HEADINGS + k], x[HORIZONTAL]
         gain, mapping = gain_matrix(x[GAIN]), self.mapping + x[LAG] * self.by_lag
         level = level_field(psi, h, x[VERTICAL])
         residual, linear = self._linear(x, gain, mapping, level)
         by = np.zeros((k, 3, x.size))
-        by[:, :, : GAIN.stop], by[:, :, MOTOR] = linear[:, :, : GAIN.stop], linear[:, :, GAIN.stop :]
+        by[:, :, : GAIN.stop], by[:, :, self.motor] = linear[:, :, : GAIN.stop], linear[:, :, GAIN.stop :]
         cos, sin, seen = np.cos(psi), np.sin(psi), gain @ mapping
         by[:, :, HORIZONTAL] = seen[:, :, 0] * cos[:, np.newaxis] - seen[:, :, 1] * sin[:, np.newaxis]
         by[:, :, VERTICAL] = seen[:, :, 2]
@@ -152,7 +157,8 @@ class Readings:
 
     def turns(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the whitened residuals of the turns, (K - 1,), and their derivative by the state."""
-        turn, lasted_s, sigma = np.diff(x[HEADINGS:]), np.diff(self.middle_s), self.step_sigma_rad
+        turn = np.diff(x[HEADINGS : HEADINGS + len(self)])
+        lasted_s, sigma = np.diff(self.middle_s), self.step_sigma_rad
         scale = 1.0 + x[GYRO_SCALE]
         rows = np.arange(len(turn))
         jacobian = np.zeros((len(turn), x.size))
@@ -179,7 +185,7 @@ class PriorRows(NamedTuple):
 
 
 def prior_rows(
-    readings: int,
+    shape: tuple[int, ...],
     prior: IronPrior,
     earth: EarthField | None,
     in_force: FieldCorrection,
@@ -188,7 +194,7 @@ def prior_rows(
     motor_sigma: float,
     first_heading: tuple[float, float] | None = None,
 ) -> PriorRows:
-    """Write the prior of so many readings as whitened rows.
+    """Write the prior of readings with loads of a shape (K, L) as whitened rows.
 
     Args:
         vertical_mgauss: the vertical field, as far as `earth` does not tell it.
@@ -204,7 +210,7 @@ def prior_rows(
         *((i, prior.gains[i - 3], prior.cross_sigma) for i in (6, 7, 8)),
         (GYRO_SCALE, 0.0, scale_sigma),
         (GYRO_BIAS, 0.0, bias_sigma),
-        *((i, 0.0, motor_sigma) for i in range(MOTOR.start, MOTOR.stop)),
+        *((i, 0.0, motor_sigma) for i in motor_places(*shape).tolist()),
         (LAG, 0.0, _LAG_SIGMA_S),
     ]
     if earth is not None:
@@ -219,7 +225,8 @@ def prior_rows(
         held.append((2, -in_force.offsets_mgauss[2], prior.vertical_offset_sigma_mgauss))
     if first_heading is not None:
         held.append((HEADINGS, *first_heading))
-    rows, wanted = np.zeros((len(held) + 1, HEADINGS + readings)), np.zeros(len(held) + 1)
+    readings, loads = shape
+    rows, wanted = np.zeros((len(held) + 1, HEADINGS + readings + 3 * (loads - 1))), np.zeros(len(held) + 1)
     for row, (place, value, sigma) in enumerate(held):
         rows[row, place], wanted[row] = 1.0 / np.size(place) / sigma, value / sigma
     rows[-1, 3:6] = np.array([-0.5, -0.5, 1.0]) / prior.vertical_gain_sigma
@@ -284,7 +291,7 @@ class Fit:
     """Hold the solution of a problem of K readings.
 
     Attributes:
-        state, covariance: the numbers named by `model.NAMES`, then K headings: (P,), (P, P).
+        state, covariance: the numbers named by `model.NAMES`, K headings, further loads: (P,), (P, P).
         residual_mgauss: measured less predicted, (K, 3).
         sound: how far each reading is believed, 0 to 1, (K,). roots: what whitens its residual, (K, 3, 3).
         whitened, jacobian: the residuals of field (3 K), turns (K - 1) and prior, and their derivative by the
@@ -322,7 +329,18 @@ class Fit:
     @property
     def headings_rad(self) -> FloatArray:
         """Return the readings' magnetic headings, (K,)."""
-        return self.state[HEADINGS:]
+        return self.state[HEADINGS : HEADINGS + len(self.sound)]
+
+    @property
+    def motor(self) -> NDArray[np.intp]:
+        """Return the places of the loads' fields in the state, (3 L,)."""
+        readings = len(self.sound)
+        return motor_places(readings, 1 + (self.state.size - HEADINGS - readings) // 3)
+
+    @property
+    def motors_mgauss(self) -> FloatArray:
+        """Return the field per unit of each load, (L, 3)."""
+        return self.state[self.motor].reshape(-1, 3)
 
     @property
     def cost(self) -> float:
@@ -353,47 +371,3 @@ class Fit:
         """
         rows = (self.roots @ by).reshape(-1, by.shape[2])
         return np.asarray(self.covariance @ self.jacobian[: len(rows)].T @ rows)
-
-
-def weigh_cross_terms(
-    state: FloatArray, covariance: FloatArray, prior: IronPrior, shared: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Weigh 'there are cross terms' against 'there are a sensor's own at the most' and blend the two.
-
-    Returns the state, its covariance with the shared errors in it, and these.
-
-    Both are one Gaussian: with the narrow prior is the fit with one more observation, that they are 0 within
-    `narrow`, 1 / own^2 = 1 / cross^2 + 1 / narrow^2. The odds are the density of that observation after over
-    that before the data (Savage and Dickey), times the prior odds. Where the data cannot tell, the blend
-    costs less than either: a cross term that is not there is not paid for.
-
-    No sensor's axes are square to nothing: taken for exactly so, a tilt that all readings share, which shows
-    like a cross term, would count as known.
-
-    `shared` (P, M) are errors of the state, one sigma each, that are no cross terms and tell nothing of them.
-    """
-    for index in ([6], [7, 8]):
-        state, covariance, shared = _spike_and_slab(state, covariance, shared, index, prior)
-    return state, covariance + shared @ shared.T, shared
-
-
-def _spike_and_slab(
-    state: FloatArray, covariance: FloatArray, shared: FloatArray, index: list[int], prior: IronPrior
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Blend a Gaussian with itself under the narrow prior of `state[index]`."""
-    if prior.own_cross_sigma >= prior.cross_sigma:  # known as a calibration has them: nothing to weigh
-        return state, covariance, shared
-    narrow2 = 1.0 / (prior.own_cross_sigma**-2.0 - prior.cross_sigma**-2.0)
-    block = covariance[np.ix_(index, index)] + narrow2 * np.eye(len(index))
-    value = state[index] - np.asarray(prior.gains)[np.array(index) - 3]
-    gain = covariance[:, index] @ np.linalg.inv(block)
-    posterior = -0.5 * float(value @ np.linalg.solve(block, value)) - 0.5 * float(np.linalg.slogdet(block)[1])
-    before = -0.5 * len(index) * math.log(prior.cross_sigma**2 + narrow2)
-    odds = math.log((1.0 - CROSS_TERMS_BEFORE) / CROSS_TERMS_BEFORE)
-    log_odds = min(max(posterior - before + odds, -700.0), 700.0)
-    spike = 1.0 / (1.0 + math.exp(-log_odds))
-    shift = -gain @ value
-    blended = state + spike * shift
-    reduced = covariance - spike * gain @ covariance[index, :]
-    spread = spike * (1.0 - spike) * np.outer(shift, shift)
-    return blended, reduced + spread, shared - spike * gain @ shared[index]

@@ -191,7 +191,7 @@ def ardupilot_values(
     correction: FieldCorrection, instance: int, naming: ArduPilotNaming = "COMPASS_OFS2_X"
 ) -> dict[str, float]:
     """Spell a correction as ArduPilot parameters; motor terms only where it has a motor source."""
-    vectors = {
+    vectors: dict[str, tuple[float, ...]] = {
         "OFS": correction.offsets_mgauss,
         "DIA": correction.diagonals,
         "ODI": correction.off_diagonals,

@@ -10,16 +10,20 @@ heading to get the magnetic one: magnetic = compass + deviation, east positive.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mavcompass.correction import FieldCorrection
+from mavcompass.correction import FieldCorrection, MotorSource
 from mavcompass.frames import FloatArray, level_to_body, wrap_pi
 from mavcompass.heading.compute import level_field, level_heading, tilt_compensated_heading
 
 LETTERS = "ABCDE"
+# The motors' loads at a moment, by what a correction's motor term goes with.
+Loads = Mapping[tuple[MotorSource, float], ArrayLike]
+NO_LOADS: Loads = {}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,15 +106,15 @@ def heading_change_rad(
     roll_rad: float = 0.0,
     pitch_rad: float = 0.0,
     turned: FloatArray | None = None,
-    load: float = 0.0,
+    loads: Loads = NO_LOADS,
 ) -> FloatArray:
-    """Return by how much the heading changes from `old` to `new` at 72 true headings, tilt and load, (72,).
+    """Return by how much the heading changes from `old` to `new` at 72 true headings, tilt and loads, (72,).
 
     The field is taken to be what `new` makes of the raw readings, so for a good `new` this is the
     error of `old`. Both are for readings in the same axes; `turned` (3, 3) is the rotation into these from
     the axes in which the old heading was taken.
     """
-    seen, psi = seen_by_old(old, new, horizontal_mgauss, vertical_mgauss, roll_rad, pitch_rad, load)
+    seen, psi = seen_by_old(old, new, horizontal_mgauss, vertical_mgauss, roll_rad, pitch_rad, loads)
     seen = seen @ (np.eye(3) if turned is None else turned)
     return np.asarray(wrap_pi(tilt_compensated_heading(seen, roll_rad=roll_rad, pitch_rad=pitch_rad) - psi))
 
@@ -122,11 +126,11 @@ def seen_by_old(
     vertical_mgauss: float,
     roll_rad: float = 0.0,
     pitch_rad: float = 0.0,
-    load: float = 0.0,
+    loads: Loads = NO_LOADS,
 ) -> tuple[FloatArray, FloatArray]:
     """Return what `old` makes, (72, 3), of raw readings of which `new` makes the Earth's field, and the true
     headings."""
     psi = np.asarray(np.arange(72) * (2.0 * math.pi / 72))
     field_mgauss = level_field(psi, horizontal_mgauss, vertical_mgauss) @ level_to_body(roll_rad, pitch_rad).T
-    raw = new.undo(field_mgauss, load if new.motor_source != "none" else None)
-    return old.apply(raw, load if old.motor_source != "none" else None), psi
+    raw = new.undo(field_mgauss, loads.get(new.goes_with))
+    return old.apply(raw, loads.get(old.goes_with)), psi

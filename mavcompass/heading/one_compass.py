@@ -117,7 +117,7 @@ def _field(track: Track, correction: FieldCorrection | None, instance: int) -> t
         in_force = track.compasses[instance].calibration
         known = in_force is not None and is_calibrated(track.autopilot, track.parameters, instance, in_force)
         return track.corrected_field(instance), known
-    load = track.motor_load(track.compasses[instance].time_s, correction.motor_source)
+    load = track.load_of(correction, track.compasses[instance].time_s)
     return correction.apply(track.raw_field(instance), load), any(correction.offsets_mgauss)
 
 

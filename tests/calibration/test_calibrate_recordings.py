@@ -279,6 +279,7 @@ def test_the_result_is_json() -> None:
         "scale": c.scale,
         "motor_mgauss": list(c.motor_mgauss),
         "motor_source": c.motor_source,
+        "motor_exponent": c.motor_exponent,
     }
     assert entry["raw_offset_mgauss"] == list(result.raw_offset_mgauss)
     for name in ("residual_rms_mgauss", "heading_sigma_deg", "heading_change_deg", "heading_change_max_deg"):

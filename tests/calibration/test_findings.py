@@ -51,11 +51,12 @@ def of_motion(**seen: Any) -> Told:
         turned_rad=np.linspace(0.0, 2.0 * math.pi, COUNT),
         step_sigma_rad=np.full(COUNT - 1, seen.pop("step_deg", 0.5) * RAD_PER_DEG),
         gyro_rate_hz=2.5,
-        load=np.repeat([0.0, 10.0], COUNT // 2),
+        loads=np.repeat([[0.0], [10.0]], COUNT // 2, axis=0),
         middle_s=np.arange(COUNT) * 2.0,
     )
     fit = SimpleNamespace(
         state=state,
+        motors_mgauss=state[np.newaxis, MOTOR],
         covariance=np.diag(np.full(state.size, seen.pop("sigma", 0.01)) ** 2),
         headings_rad=np.linspace(0.0, seen.pop("seen_rad", 6.0), COUNT),
         residual_mgauss=np.repeat([[0.0] * 3, [seen.pop("later_mgauss", 0.0), 0.0, 0.0]], COUNT // 2, axis=0),

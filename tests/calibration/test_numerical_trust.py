@@ -101,10 +101,10 @@ def test_the_length_of_the_field_has_its_derivative(seed: int) -> None:
 def test_sections_and_turns_have_their_derivatives(seed: int) -> None:
     rng = np.random.default_rng(seed)
     sections = drawn_sections(rng, 4)
-    x = np.zeros(HEADINGS + 4)
+    x = np.zeros(HEADINGS + 4 + 6)
     x[GAIN], x[HORIZONTAL], x[VERTICAL] = (1.1, 0.9, 1.0, 0.02, -0.01, 0.03), 230.0, -520.0
     x[:3], x[13:HEADINGS] = rng.normal(0.0, 50.0, 3), 0.01 * rng.normal(size=HEADINGS - 13)
-    x[HEADINGS:] = rng.uniform(-3.0, 3.0, 4)
+    x[HEADINGS:] = rng.uniform(-3.0, 3.0, 10)
     assert is_derivative(-sections.field(x)[1], derivative(lambda y: sections.field(y)[0], x))
     assert is_derivative(sections.turns(x)[1], derivative(lambda y: sections.turns(y)[0], x))
 
@@ -114,10 +114,10 @@ def test_sections_and_turns_have_their_derivatives(seed: int) -> None:
 def test_a_tilted_section_reads_what_its_derivative_says(seed: int) -> None:
     rng = np.random.default_rng(seed)
     sections, h = drawn_sections(rng, 4), 1e-6
-    x = np.zeros(HEADINGS + 4)
+    x = np.zeros(HEADINGS + 4 + 6)
     x[GAIN], x[HORIZONTAL], x[VERTICAL] = (1.1, 0.9, 1.0, 0.02, -0.01, 0.03), 230.0, -520.0
-    x[HEADINGS:] = rng.uniform(-3.0, 3.0, 4)
-    by = by_tilt(sections.mapping, x, x[HEADINGS:])
+    x[HEADINGS : HEADINGS + 4] = rng.uniform(-3.0, 3.0, 4)
+    by = by_tilt(sections.mapping, x, x[HEADINGS : HEADINGS + 4])
     for axis in range(2):
         turned = replace(sections, mapping=level_to_body(*(h * np.eye(2)[axis])) @ sections.mapping)
         moved = sections.field(x)[0] - turned.field(x)[0]
@@ -130,7 +130,7 @@ def drawn_sections(rng: np.random.Generator, count: int) -> Sections:
         "mean_mgauss": rng.normal(0.0, 300.0, (count, 3)),
         "mapping": level_to_body(*rng.uniform(-0.3, 0.3, (2, count))),
         "by_lag": rng.normal(0.0, 0.3, (count, 3, 3)),
-        "load": rng.uniform(0.0, 5.0, count),
+        "loads": rng.uniform(0.0, 5.0, (count, 3)),
         "turned_rad": np.cumsum(rng.uniform(-1.5, 1.5, count)),
         "step_sigma_rad": rng.uniform(0.001, 0.05, count - 1),
         "middle_s": 10.0 * np.arange(count) + 2.5,

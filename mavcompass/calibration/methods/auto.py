@@ -13,7 +13,7 @@ from mavcompass.calibration.recorded import Recorded
 from mavcompass.calibration.result import CalibrationResult, surest
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import NO_HEADING_RAD
-from mavcompass.heading.deviation import heading_change_rad
+from mavcompass.heading.deviation import Loads, heading_change_rad
 
 # Two methods that are both sure must agree within so many of their sigmas.
 _AGREE_SIGMAS, _AGREE_DEG = 3.0, 2.0
@@ -78,6 +78,7 @@ def _chosen(results: list[CalibrationResult], motion: Motion | None = None) -> C
 
 def _apart_deg(one: CalibrationResult, other: CalibrationResult, motion: Motion | None) -> float:
     """Return by how much two results' headings differ at the mean load, rms without their mean."""
-    load = 0.0 if motion is None else motion.sections.load_mean
+    loads: Loads = {} if motion is None else {motion.goes_with: motion.sections.loads_mean}
     field = (one.horizontal_mgauss, one.vertical_mgauss)
-    return math.degrees(float(heading_change_rad(other.correction, one.correction, *field, load=load).std()))
+    apart_rad = heading_change_rad(other.correction, one.correction, *field, loads=loads)
+    return math.degrees(float(apart_rad.std()))

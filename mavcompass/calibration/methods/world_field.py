@@ -13,7 +13,6 @@ from mavcompass.calibration.model import (
     CALIBRATED,
     GAIN,
     HORIZONTAL,
-    MOTOR,
     OFFSET,
     VERTICAL,
     gain_matrix,
@@ -148,8 +147,9 @@ def correction_of(motion: Motion, state: FloatArray) -> FieldCorrection:
     if motion.load_source == "none":
         return plain
     # Where the motors are not told from the iron, that in force stays: the iron is that at the mean load.
-    motor = -matrix @ state[MOTOR] if motion.motors_told else np.asarray(plain.motor_mgauss)
-    source = motion.load_source if motion.motors_told else plain.motor_source
-    x, y, z = (-state[OFFSET] - motion.sections.load_mean * np.linalg.solve(matrix, motor)).tolist()
-    mx, my, mz = motor.tolist()
-    return replace(plain, offsets_mgauss=(x, y, z), motor_mgauss=(mx, my, mz), motor_source=source)
+    if motion.motors_told:
+        told = replace(held, motor_source=motion.load_source, motor_exponent=motion.exponent)
+        plain = plain.with_motors(-state[motion.fit.motor].reshape(-1, 3) @ matrix.T, told)
+    at_mean = motion.mean_loads(plain) @ plain.motors
+    x, y, z = (-state[OFFSET] - np.linalg.solve(matrix, at_mean)).tolist()
+    return replace(plain, offsets_mgauss=(x, y, z))

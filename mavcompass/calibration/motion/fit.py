@@ -25,7 +25,6 @@ from mavcompass.calibration.model import (
     HEADINGS,
     HORIZONTAL,
     LAG,
-    MOTOR,
     VERTICAL,
     HeadingError,
     by_tilt,
@@ -47,8 +46,8 @@ from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray
 from mavcompass.heading.compute import level_field
 
-# Of the motor field per unit of load, each axis: amperes, and the whole throttle.
-_MOTOR_SIGMA = {"current": 10.0, "throttle": 100.0, "none": 1e-6}
+# Of the motor field per unit of load, each axis: amperes, the whole throttle, a motor's largest output.
+_MOTOR_SIGMA = {"current": 10.0, "throttle": 100.0, "outputs": 100.0, "none": 1e-6}
 _ROUNDS, _STEPS_A_ROUND = 12, 10
 _FEWEST = 4
 # Before the data: one section in twenty stands beside something magnetic, of this size on each axis.
@@ -161,9 +160,23 @@ def begin(recorded: Recorded, sections: Sections, load_source: MotorSource = "no
     """Tell where `fit_motion` begins, which costs a fiftieth of it."""
     earth, prior, in_force = recorded.earth, recorded.prior, recorded.in_force
     field = rough_field(sections.mean_mgauss, earth, in_force)
-    gyro_sigma, motor_sigma = (sections.scale_sigma, sections.bias_sigma_radps), _MOTOR_SIGMA[load_source]
-    rules = prior_rows(len(sections), prior, earth, in_force, field[1], gyro_sigma, motor_sigma)
+    gyro_sigma = (sections.scale_sigma, sections.bias_sigma_radps)
+    motor_sigma = motor_sigma_of(sections, load_source)
+    rules = prior_rows(sections.loads.shape, prior, earth, in_force, field[1], gyro_sigma, motor_sigma)
     return first_state(sections, rules, field)
+
+
+def motor_sigma_of(sections: Sections, load_source: MotorSource) -> float:
+    """Return what the prior takes for the size of the motors' field per unit of load."""
+    unit = float((sections.loads + sections.loads_mean).max()) if load_source == "outputs" else 1.0
+    return _MOTOR_SIGMA[load_source] / unit
+
+
+def motors_variance(loads: FloatArray, fit: MotionFit) -> FloatArray:
+    """Return what is not known of the motors' field at loads (N, L), each axis squared, (N, 3)."""
+    one = fit.motor.reshape(-1, 3).T
+    covariance = fit.covariance[one[:, :, np.newaxis], one[:, np.newaxis]]
+    return np.einsum("nl,alm,nm->na", loads, covariance, loads)
 
 
 def leaning_error(sections: Sections, fit: MotionFit) -> FloatArray:
@@ -180,12 +193,12 @@ def sigma_of(fit: MotionFit) -> float:
     return HeadingError(fit.state[:11], fit.covariance[:9, :9]).rms_rad()
 
 
-def level_headings(sections: Sections, fit: MotionFit, load_shift: float = 0.0) -> FloatArray:
+def level_headings(sections: Sections, fit: MotionFit, loads_shift: FloatArray | float = 0.0) -> FloatArray:
     """Return the headings that a fit makes of the readings of sections, (K,), radians.
 
-    `load_shift` is the mean load of the fit's own sections less that of these.
+    `loads_shift` are the mean loads of the fit's own sections less those of these, (L,).
     """
-    motors = (sections.load - load_shift)[:, np.newaxis] * fit.state[MOTOR]
+    motors = (sections.loads - loads_shift) @ fit.motors_mgauss
     raw = sections.mean_mgauss - fit.offset_mgauss - motors
     field = np.einsum("kji,kj->ki", sections.mapping, raw @ np.linalg.inv(fit.gain))
     return np.arctan2(-field[:, 1], field[:, 0])
@@ -194,7 +207,8 @@ def level_headings(sections: Sections, fit: MotionFit, load_shift: float = 0.0) 
 def residual_of(sections: Sections, fit: MotionFit) -> FloatArray:
     """Return what a fit leaves of other sections of the same recording, (K, 3), at their best headings."""
     late = replace(sections, mapping=sections.mapping + fit.state[LAG] * sections.by_lag)
-    return sections.field(np.concatenate([fit.state[:HEADINGS], level_headings(late, fit)]))[0]
+    further = fit.state[HEADINGS + len(fit.sound) :]
+    return sections.field(np.concatenate([fit.state[:HEADINGS], level_headings(late, fit), further]))[0]
 
 
 # --- how far off a section may be -------------------------------------------------------------------
@@ -207,7 +221,8 @@ def section_variance(
 
     `weighed`: what the sections of one visit share is multiplied, so that together they count once.
     """
-    leaning = by_tilt(sections.mapping, x, x[HEADINGS:]) * sections.tilt_sigma_rad[:, np.newaxis, np.newaxis]
+    psi = x[HEADINGS : HEADINGS + len(sections)]
+    leaning = by_tilt(sections.mapping, x, psi) * sections.tilt_sigma_rad[:, np.newaxis, np.newaxis]
     alike = (error.mgauss**2 + sections.hidden_mgauss**2)[:, :, np.newaxis] * _AXES
     shared = leaning @ np.swapaxes(leaning, 1, 2) + error.attitude_rad**2 * _by_turn(sections, x) + alike
     white = (sections.noise_mgauss**2 / sections.samples)[:, np.newaxis, np.newaxis] * _AXES
@@ -277,7 +292,7 @@ def _inverse_root(variance: FloatArray) -> FloatArray:
 
 def _by_turn(sections: Sections, x: FloatArray) -> FloatArray:
     """Return the covariance of the means by an attitude off by 1 radian about each axis, (K, 3, 3)."""
-    level = level_field(x[HEADINGS:], x[HORIZONTAL], x[VERTICAL])
+    level = level_field(x[HEADINGS : HEADINGS + len(sections)], x[HORIZONTAL], x[VERTICAL])
     body, gain = np.einsum("kij,kj->ki", sections.mapping, level), gain_matrix(x[GAIN])
     across = (body**2).sum(axis=1)[:, np.newaxis, np.newaxis] * _AXES
     across -= body[:, :, np.newaxis] * body[:, np.newaxis]

@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.attitude import levels
-from mavcompass.calibration.model import HORIZONTAL, LAG, MOTOR, VERTICAL, HeadingError, heading_gradient
-from mavcompass.calibration.motion.fit import MotionFit, leaning_error
+from mavcompass.calibration.cross_terms import weigh_cross_terms
+from mavcompass.calibration.model import HORIZONTAL, LAG, VERTICAL, HeadingError, heading_gradient
+from mavcompass.calibration.motion.fit import MotionFit, leaning_error, motors_variance
 from mavcompass.calibration.motion.observed import Motion
 from mavcompass.calibration.motion.sections import Sections, unsettled
 from mavcompass.calibration.result import CalibrationResult
-from mavcompass.calibration.rigid import DEFAULT_PRIOR, IronPrior, weigh_cross_terms
+from mavcompass.calibration.rigid import DEFAULT_PRIOR, IronPrior
 from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray, wrap_pi
 from mavcompass.heading.compute import tilt_compensated_heading
@@ -149,15 +150,15 @@ def scatter_left_rad(motion: Motion, correction: FieldCorrection) -> float:
     if motion.sections.sparse() is not None:
         return 0.0
     time = track.compasses[instance].time_s
-    load = None if source == "none" else track.motor_load(time, source)
+    load = track.load_of(correction, time)
     field = correction.apply(track.raw_field(instance, motors=source != "none"), load)
     down = (levels(track) if motion.reference is None else motion.reference.levels(track)).at(time)
     scatter, motors = gyro_scatter_rad(motion, field, down), 0.0
     if motion.load_source != "none":
-        undone = np.zeros(3)
-        if source == motion.load_source:
-            undone = -np.linalg.solve(correction.matrix, np.asarray(correction.motor_mgauss))
-        motors = motors_left_rad(motion.sections, motion.fit, motion.fit.state[MOTOR] - undone)
+        left = motion.fit.motors_mgauss
+        if correction.goes_with == motion.goes_with:
+            left = left + np.linalg.solve(correction.matrix, correction.motors.T).T
+        motors = motors_left_rad(motion.sections, motion.fit, left)
     return math.hypot(scatter, motors)
 
 
@@ -216,12 +217,13 @@ def _beyond_noise(off_rad: FloatArray, variance: FloatArray, weights: FloatArray
 
 
 def motors_left_rad(sections: Sections, fit: MotionFit, left_mgauss: FloatArray) -> float:
-    """Return the heading scatter by a motor field (3,) per unit of load that is not taken out, radians.
+    """Return the heading scatter by motors' fields (L, 3) per unit of load that are not taken out, radians.
 
     What chance gives the fit is not counted.
     """
-    sigma = np.diag(fit.covariance)[MOTOR]
-    beyond = np.maximum(left_mgauss**2 - _CHANCE * sigma, 0.0)[:2].sum()
-    swing = float(np.average((sections.load) ** 2, weights=1.0 / sections.repeats))
+    share = 1.0 / sections.repeats
+    left = np.average((sections.loads @ left_mgauss) ** 2, axis=0, weights=share)
+    chance = np.average(motors_variance(sections.loads, fit), axis=0, weights=share)
+    beyond = float(np.maximum(left - _CHANCE * chance, 0.0)[:2].sum())
     horizontal = float(fit.state[HORIZONTAL]) * float(np.trace(fit.gain[:2, :2])) / 2.0
-    return math.sqrt(0.5 * float(beyond) * swing) / abs(horizontal)
+    return math.sqrt(0.5 * beyond) / abs(horizontal)

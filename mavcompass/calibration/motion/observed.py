@@ -8,8 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mavcompass.attitude import LASTS_S
-from mavcompass.calibration.model import MOTOR
-from mavcompass.calibration.motion.fit import MotionFit, fit_motion, level_headings, sigma_of
+from mavcompass.calibration.motion.fit import (
+    MotionFit,
+    fit_motion,
+    level_headings,
+    motors_variance,
+    sigma_of,
+)
 from mavcompass.calibration.motion.sections import (
     LEAST_CIRCLE_RAD,
     ReferenceTurn,
@@ -20,16 +25,17 @@ from mavcompass.calibration.motion.sections import (
 from mavcompass.calibration.observation import accelerometer_of, find_dwells, turn_record
 from mavcompass.calibration.observation.turning import TurnRecord
 from mavcompass.calibration.recorded import Recorded
-from mavcompass.correction import MotorSource
+from mavcompass.correction import USUAL_EXPONENT, FieldCorrection, MotorSource
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, circle_covered_rad, wrap_pi
+from mavcompass.heading.deviation import Loads
 from mavcompass.track import Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 # A load that varies less than this shows no motor field.
 _LOAD_SPREAD: tuple[tuple[MotorSource, float], ...] = (("current", 1.0), ("throttle", 0.1))
-# Chance makes three numbers as large as this once in a thousand times (chi-square).
-_MOTOR_CHI_SQUARE = 16.3
+# Chance makes so many numbers as large as this once in a thousand times (chi-square).
+_MOTOR_CHI_SQUARE = {3: 16.3, 9: 27.9}
 # A turn without a stop pulls at an accelerometer that sits so far from its centre; the level takes a third of
 # that for a lean (simulated: rover 0.32, copter 0.11).
 _FROM_CENTRE_M, _TAKEN_FOR_A_LEAN = 0.1, 1.0 / 3.0
@@ -47,6 +53,7 @@ class Motion:
         sections: of the motion. fit: of the sections.
         load_source: the load that the fit has a motor field for.
         motors_told: True where that field is told from the iron, so that a correction may take it out.
+        exponent: of the load, where that is the motors' outputs.
     """
 
     recorded: Recorded
@@ -56,22 +63,43 @@ class Motion:
     fit: MotionFit
     load_source: MotorSource
     motors_told: bool = False
+    exponent: float = USUAL_EXPONENT
 
     @property
-    def loads(self) -> tuple[float, ...]:
+    def loads(self) -> tuple[Loads, ...]:
         """Return loads that stand for those recorded: quantiles; none where there is no motor field."""
         if self.load_source == "none":
-            return (0.0,)
-        at = np.percentile(self.sections.load + self.sections.load_mean, [10.0, 30.0, 50.0, 70.0, 90.0])
-        return tuple(at.tolist())
+            return ({},)
+        held, own = self.recorded.in_force, self.sections.loads + self.sections.loads_mean
+        every = {held.goes_with: self._recorded(held), self.goes_with: own}
+        at = {s: np.percentile(load, [10.0, 30.0, 50.0, 70.0, 90.0], axis=0) for s, load in every.items()}
+        return tuple({source: at[source][k] for source in at} for k in range(5))
+
+    @property
+    def goes_with(self) -> tuple[MotorSource, float]:
+        """Return the load of the fit as `FieldCorrection.goes_with` does."""
+        return self.load_source, self.exponent
+
+    def mean_loads(self, correction: FieldCorrection) -> FloatArray:
+        """Return the means of the loads that a correction goes with, (L,); zeros where not recorded."""
+        if correction.goes_with == self.goes_with:
+            return np.array(self.sections.loads_mean)
+        return self._recorded(correction).mean(axis=0)
+
+    def _recorded(self, correction: FieldCorrection) -> FloatArray:
+        """Return the loads that a correction goes with, (N, L); zeros where not recorded."""
+        time = self.recorded.track.compasses[self.recorded.instance].time_s
+        load = self.recorded.track.load_of(correction, time)
+        return np.zeros((1, len(correction.motors))) if load is None else load.reshape(time.size, -1)
 
     @property
     def load_doubt_rad(self) -> float:
         """Return what is not known of the motors' field, as a heading at the loads recorded, rms, radians."""
         if not self.motors_told:
             return 0.0
-        sigma = math.sqrt(float(np.diag(self.fit.covariance)[MOTOR][:2].mean()))
-        return float(self.sections.load.std()) * sigma / abs(self.fit.horizontal_mgauss)
+        around = self.sections.loads - self.sections.loads.mean(axis=0)
+        variance = float(motors_variance(around, self.fit)[:, :2].mean())
+        return math.sqrt(variance) / abs(self.fit.horizontal_mgauss)
 
     def halves(self) -> tuple[Sections, Sections] | None:
         """Return both halves of the motion; None where one of them does not turn far enough by itself."""
@@ -90,7 +118,8 @@ class Motion:
         headings, variance = [], 0.0
         for half in self.halves() or ():
             fit = fit_motion(self.recorded, half, self.load_source)
-            headings.append(level_headings(self.sections, fit, half.load_mean - self.sections.load_mean))
+            shift = np.subtract(half.loads_mean, self.sections.loads_mean)
+            headings.append(level_headings(self.sections, fit, shift))
             variance += sigma_of(fit) ** 2
         if not headings:
             return 0.0
@@ -137,14 +166,18 @@ def observe_motion(recorded: Recorded) -> Motion:
             f"The vehicle turned only {math.degrees(float(np.ptp(sections.turned_rad))):.0f} degrees.",
             "Turn it through a full circle.",
         )
+    motion = None
     load, source = _motor_load(track, instance)
     if load is not None:
         loaded = cut(track.raw_field(instance), load)
         fit = fit_motion(recorded, loaded, source)
         if _motors_show(loaded, fit):
             told = _motors_told(loaded, fit, math.radians(recorded.limits.heading_deg))
-            return Motion(recorded, record, reference, loaded, fit, source, told)
-    return Motion(recorded, record, reference, sections, fit_motion(recorded, sections, "none"), "none")
+            motion = Motion(recorded, record, reference, loaded, fit, source, told)
+    if motion is None:
+        fit = fit_motion(recorded, sections, "none")
+        motion = Motion(recorded, record, reference, sections, fit, "none")
+    return motion
 
 
 def _pulled_rad(rate_radps: FloatArray) -> float:
@@ -161,29 +194,39 @@ def motion_or_none(recorded: Recorded) -> Motion | None:
         return None
 
 
-def _motors_show(sections: Sections, fit: MotionFit) -> bool:
-    """Tell whether the load goes with a field that chance does not make as large.
+def _motors_show(sections: Sections, fit: MotionFit, rows: FloatArray | None = None) -> bool:
+    """Tell whether the load goes with a field, or with what `rows` take of it, that chance makes no larger.
 
     What drives harder leans and pushes as its load goes: sections as short as the level errs the same way for
     are not so many witnesses.
     """
-    field, covariance = fit.state[MOTOR], fit.covariance[MOTOR, MOTOR]
+    field, covariance = fit.state[fit.motor], fit.covariance[np.ix_(fit.motor, fit.motor)]
+    if rows is not None:
+        field, covariance = rows @ field, rows @ covariance @ rows.T
     alike = max(LASTS_S / float(np.mean(sections.end_s - sections.start_s) + 1e-9), 1.0)
-    return float(field @ np.linalg.solve(covariance, field)) > _MOTOR_CHI_SQUARE * alike
+    return float(field @ np.linalg.solve(covariance, field)) > _MOTOR_CHI_SQUARE[field.size] * alike
 
 
 def _motors_told(sections: Sections, fit: MotionFit, limit_rad: float) -> bool:
     """Tell whether the load varied enough to tell the motors' field from the iron.
 
     It did where the heading without load, at the end of the line that the variation drew, is known within
-    the limit.
+    the limit; and so is what each of several loads has its part in.
     """
-    sigma = math.sqrt(float(np.diag(fit.covariance)[MOTOR][:2].mean()))
-    return sections.load_mean * sigma < limit_rad * fit.horizontal_mgauss
+    mean = np.array(sections.loads_mean)
+    apart = np.concatenate([mean[np.newaxis], np.diag(mean)])
+    sigma = np.sqrt(motors_variance(apart, fit)[:, :2].mean(axis=1))
+    return float(sigma.max()) < limit_rad * fit.horizontal_mgauss
 
 
 def _motor_load(track: Track, instance: int) -> tuple[FloatArray | None, MotorSource]:
-    """Choose the motor load, (N,), that varies enough to be fitted: the current, else the throttle."""
+    """Choose the motor load, (N,), that varies enough to be fitted: the current, else the throttle.
+
+    Neither where each motor has its own term in force: that stays unless motors are told apart anew.
+    """
+    held = track.compasses[instance].correction_at(math.inf)
+    if held.motor_source == "outputs" and any(held.motor_mgauss):
+        return None, "none"
     time = track.compasses[instance].time_s
     for source, least in _LOAD_SPREAD:
         load = track.motor_load(time, source)

@@ -62,7 +62,7 @@ class Sections(Readings):
         tilt_sigma_rad: what is not known of roll and pitch, (K,).
         tilt_bias_rad: what its source is off by all along, 1 sigma.
         bias_sigma_radps, scale_sigma: of the gyro, common to all.
-        load_mean: the mean that was taken off the load; both are zero where none was recorded.
+        loads_mean: what was taken off the L loads; all are zero where none was recorded, L is 1 then.
         repeats: how many sections make one visit of a heading, (K,): they share what is wrong there.
         gyro_rate_hz: how often the rate was recorded.
     """
@@ -76,7 +76,7 @@ class Sections(Readings):
     tilt_bias_rad: float
     bias_sigma_radps: float
     scale_sigma: float
-    load_mean: float
+    loads_mean: tuple[float, ...]
     repeats: FloatArray
     gyro_rate_hz: float
 
@@ -87,6 +87,10 @@ class Sections(Readings):
     def between(self, start_s: float, end_s: float) -> Sections:
         """Keep the sections whose middle lies between two times."""
         return self.chosen(np.arange(*np.searchsorted(self.middle_s, [start_s, end_s])))
+
+    def of_loads(self, kept: slice) -> Sections:
+        """Keep some of the loads."""
+        return replace(self, loads=self.loads[:, kept], loads_mean=self.loads_mean[kept])
 
     def chosen(self, kept: NDArray[np.intp]) -> Sections:
         """Keep some of the sections, in their order; the turns between them are joined."""
@@ -154,7 +158,7 @@ def cut_sections(
         instance: the compass.
         record: the gyro's turn, or an attitude reference's in its place.
         raw_mgauss: (N, 3), at the compass's times.
-        load: motor load, (N,).
+        load: motor load, (N,), or several, (N, L).
         reference: the attitude reference that `record` comes from.
     """
 
@@ -166,7 +170,7 @@ def cut_sections(
     usable[1:] &= np.diff(time) > 0.0
     usable &= ~unsettled(track, instance)
     time, raw = time[usable], raw_mgauss[usable]
-    loads = np.zeros(time.size) if load is None else load[usable]
+    loads = np.zeros((time.size, 1)) if load is None else load[usable].reshape(time.size, -1)
     lag = track.field_lag_s
     angle = record.angle_at(time - lag)
     level = leaning_as_seen(level, time - lag)
@@ -188,7 +192,7 @@ def cut_sections(
     moved = level_to_body(*leaning, record.angle_at(time - lag - later) - turned[section])
     middle = 0.5 * (time[first] + time[last - 1])
     steps = np.diff(middle)
-    middle_load = float(loads.mean()) if loads.size else 0.0
+    middle_load = np.array([column.mean() if column.size else 0.0 for column in loads.T])
     if reference is None:
         white = np.array([_step_sigma(record, a, b) for a, b in pairwise(middle)])
         # What is not known of the bias is common to all but for its drift.
@@ -212,8 +216,8 @@ def cut_sections(
         step_sigma_rad=sigma,
         bias_sigma_radps=record.bias_sigma_radps,
         scale_sigma=GYRO_SCALE_SIGMA if reference is None else 1e-9,
-        load=mean(loads) - middle_load,
-        load_mean=middle_load,
+        loads=mean(loads) - middle_load,
+        loads_mean=tuple(middle_load.tolist()),
         repeats=np.bincount(visit)[visit].astype(float),
         gyro_rate_hz=record.rate_hz,
     )
@@ -259,9 +263,10 @@ def _edges(
         _WIDEST_TILT,
         max(_LONGEST_GAP_S, 3.0 * float(np.median(np.diff(time)))),
     )
-    step = _LOAD_STEP * max(float(np.ptp(load)), 1e-9) + 1e-9
+    step = _LOAD_STEP * np.maximum(np.ptp(load, axis=0), 1e-9) + 1e-9
     while True:
-        edges, visit = _greedy(time, angle, down, load, grain, (longest, widest, tilt, step, gap))
+        limits = (longest, widest, tilt, gap)
+        edges, visit = _greedy(time, angle, down, load, grain, limits, step.tolist())
         if len(visit) <= _MOST_SECTIONS:
             return edges, visit
         widest, tilt, step, longest, gap = 1.2 * widest, 1.25 * tilt, 1.25 * step, 1.1 * longest, 1.25 * gap
@@ -273,16 +278,18 @@ def _greedy(
     down: FloatArray,
     load: FloatArray,
     grain: NDArray[np.intp],
-    limits: tuple[float, float, float, float, float],
+    limits: tuple[float, float, float, float],
+    steps: list[float],
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    longest, widest, tilt, step, gap = limits
+    longest, widest, tilt, gap = limits
     t, a, i, d = time[grain].tolist(), angle[grain].tolist(), load[grain].tolist(), down[grain].tolist()
     edges, visit = [0], [0]
     begun, low, high, lean, current, before = t[0], a[0], a[0], d[0], i[0], t[0]
     for k in range(1, len(t)):
         low, high = min(low, a[k]), max(high, a[k])
         leaning = sum((p - q) ** 2 for p, q in zip(d[k], lean, strict=True)) > tilt**2
-        moved = high - low > widest or leaning or abs(i[k] - current) > step or t[k] - before > gap
+        stepped = any(abs(p - q) > step for p, q, step in zip(i[k], current, steps, strict=True))
+        moved = high - low > widest or leaning or stepped or t[k] - before > gap
         if moved or t[k] - begun > longest:
             edges.append(int(grain[k]))
             visit.append(visit[-1] + moved)

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mavcompass.calibration.cross_terms import weigh_cross_terms
 from mavcompass.calibration.model import (
     ACCELEROMETER,
     GAIN,
@@ -38,7 +39,6 @@ from mavcompass.calibration.rigid import (
     IronPrior,
     Readings,
     covariance_of,
-    weigh_cross_terms,
 )
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.earth_field import EarthField
@@ -290,7 +290,7 @@ def _covariance_with(
         mean_mgauss=np.zeros((2, 3)),
         mapping=level_to_body(np.array([0.0, roll_rad]), np.array([0.0, pitch_rad])),
         by_lag=np.zeros((2, 3, 3)),
-        load=np.zeros(2),
+        loads=np.zeros((2, 1)),
         turned_rad=np.array([0.0, turn_rad]),
         step_sigma_rad=np.median(readings.step_sigma_rad, keepdims=True),
     )

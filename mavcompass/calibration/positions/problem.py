@@ -69,18 +69,19 @@ class PositionProblem:
         mean = np.array([d.mean_mgauss for d in dwells])
         tilts = level_to_body([d.roll_rad for d in dwells], [d.pitch_rad for d in dwells])
         current = np.array([d.current_a for d in dwells])
+        load = current - current.mean() if np.isfinite(current).all() else np.zeros(len(dwells))
         readings = Readings(
             middle_s=np.concatenate([[0.0], np.cumsum([s.duration_s for s in data.steps])]),
             mean_mgauss=mean,
             mapping=tilts @ np.array([d.swing for d in dwells]),
             by_lag=np.zeros((len(dwells), 3, 3)),
-            load=current - current.mean() if np.isfinite(current).all() else np.zeros(len(dwells)),
+            loads=load[:, np.newaxis],
             turned_rad=data.turned_rad,
             step_sigma_rad=np.array([max(s.sigma_rad, 1e-6) for s in data.steps]),
         )
         field = rough_field(mean, earth, in_force)
         rules = prior_rows(
-            len(dwells),
+            readings.loads.shape,
             prior,
             earth,
             in_force,

@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mavcompass.calibration.rigid import CROSS_TERMS_BEFORE, DEFAULT_PRIOR
+from mavcompass.calibration.cross_terms import CROSS_TERMS_BEFORE
+from mavcompass.calibration.rigid import DEFAULT_PRIOR
 from mavcompass.correction import IDENTITY
 from mavcompass.frames import FloatArray
 from mavcompass.gap.export.vehicle import affine_map

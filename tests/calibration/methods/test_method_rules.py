@@ -148,7 +148,7 @@ def test_a_proof_passes_where_the_turns_agree_and_the_solution_stands(
 
 def test_methods_are_held_against_each_other_at_the_load_that_was_flown() -> None:
     """One has a motor field of 20 mG at full throttle and as much less iron at half of it."""
-    motion: Any = SimpleNamespace(load_source="throttle", sections=SimpleNamespace(load_mean=0.5))
+    motion: Any = SimpleNamespace(goes_with=("throttle", 0.65), sections=SimpleNamespace(loads_mean=(0.5,)))
     plain = result(sigma_deg=0.1)
     ofs = plain.correction.offsets_mgauss
     loaded = replace(

@@ -59,8 +59,8 @@ def sections_of(
         "step_sigma_rad": np.full(k - 1, 0.002),
         "bias_sigma_radps": 1e-4,
         "scale_sigma": 0.01,
-        "load": load,
-        "load_mean": 0.0,
+        "loads": load[:, np.newaxis],
+        "loads_mean": (0.0,),
         "repeats": np.ones(k),
         "gyro_rate_hz": 50.0,
         **changed,
@@ -158,7 +158,9 @@ STILL, LEVEL = np.zeros(TIME.size), np.tile([0.0, 0.0, 1.0], (TIME.size, 1))
 def cut(**changed: np.ndarray) -> tuple[list[float], list[int]]:
     """Return when sections begin, and which visit of a heading each belongs to."""
     values = {"time": TIME, "angle": STILL, "down": LEVEL, "load": STILL, **changed}
-    edges, visit = sections._edges(values["time"], values["angle"], values["down"], values["load"])
+    edges, visit = sections._edges(
+        values["time"], values["angle"], values["down"], values["load"][:, np.newaxis]
+    )
     assert edges[-1] == values["time"].size
     return [round(float(values["time"][k]), 1) for k in edges[:-1]], visit.tolist()
 

@@ -14,12 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mavcompass.calibration import solve_four_positions
+from mavcompass.calibration.cross_terms import weigh_cross_terms
 from mavcompass.calibration.methods.four_positions import calibrate_positions
 from mavcompass.calibration.model import GAIN, HEADINGS, OFFSET, gain_parameters, heading_gradient
 from mavcompass.calibration.observation import FourPositionData
 from mavcompass.calibration.observation.wire import unquantise
 from mavcompass.calibration.positions import PositionProblem
-from mavcompass.calibration.rigid import DEFAULT_PRIOR, assembled, weigh_cross_terms
+from mavcompass.calibration.rigid import DEFAULT_PRIOR, assembled
 from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.errors import PoorCalibration
 from mavcompass.frames import FloatArray, wrap_pi
