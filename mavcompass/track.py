@@ -24,7 +24,7 @@ from mavcompass.saturation import may_saturate, saturated
 ARDUPILOT_LAG_S = 0.09
 # SERVOn_FUNCTION of the motors that ArduPilot corrects for one by one; of the voltage it keeps so much of the
 # value of 0.1 s before.
-MOTORS_1_TO_4, _KEPT_OF_VOLTAGE = frozenset({33.0, 34.0, 35.0, 36.0}), 0.9
+_MOTORS_1_TO_4, _KEPT_OF_VOLTAGE = frozenset({33.0, 34.0, 35.0, 36.0}), 0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -213,7 +213,7 @@ class Track:
             series = {"current": self.current_a, "throttle": self.throttle}.get(source)
             return None if series is None else series.at(time_s)
         functions = {self.parameters.get(f"SERVO{n}_FUNCTION", 0.0) for n in range(1, 9)}
-        known = self.vehicle == "copter" and functions >= MOTORS_1_TO_4
+        known = self.vehicle == "copter" and functions >= _MOTORS_1_TO_4
         if not known or self.motors is None or self.voltage_v is None:
             return None
         late, volts = time_s - self.field_lag_s, _low_passed(self.voltage_v)

@@ -13,6 +13,8 @@ import numpy as np
 
 from mavcompass.compass_parameters.ardupilot import (
     ARDUPILOT_SCALE_LIMITS,
+    PER_MOTOR,
+    PER_MOTOR_NAMES,
     ArduPilotNaming,
     ardupilot_angle_names,
     ardupilot_correction,
@@ -43,6 +45,8 @@ from mavcompass.track import InForce, Track
 
 __all__ = [
     "ARDUPILOT_SCALE_LIMITS",
+    "PER_MOTOR",
+    "PER_MOTOR_NAMES",
     "PX4_ANGLES",
     "PX4_BOARD",
     "PX4_CUSTOM",
@@ -140,6 +144,8 @@ def values(
         return mounting | px4_values(correction, instance, rotation)
     if turned is not None and correction.motor_source == "none":
         correction = correction.with_motor_of(ardupilot_correction(parameters, instance).turned(turned))
+    if instance == 1 and parameters.get(PER_MOTOR) and correction.motor_source in ("throttle", "current"):
+        mounting[PER_MOTOR] = 0.0  # which would keep these from working
     return mounting | ardupilot_values(correction, instance, ardupilot_naming(parameters))
 
 

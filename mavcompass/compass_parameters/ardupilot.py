@@ -1,7 +1,9 @@
 """ArduPilot's names for a compass's correction and mounting, and their meaning.
 
 `field = M ((raw + OFS) SCALE) + MOT load`, milligauss, in body axes. An all-zero DIA means no matrix; a SCALE
-outside [1/1.5, 1.5] is ignored; MOTCT 1 is throttle, 2 is battery current.
+outside [1/1.5, 1.5] is ignored; MOTCT 1 is throttle, 2 is battery current. With PMOT_EN compass 1 has instead
+of that one vector for each of the motors 1 to 4, added behind the matrix, too (AP_Compass_Backend.cpp,
+correct_field; Compass_PerMotor.cpp, compensate); PMOT_EXP is its load's power.
 
 An external compass is mounted as its COMPASS_ORIENT says, one inside the flight controller as
 AHRS_ORIENTATION does. Both are numbers of MAV_SENSOR_ORIENTATION up to 43, or name free angles: since 4.2
@@ -18,7 +20,7 @@ from typing import Literal
 
 import numpy as np
 
-from mavcompass.correction import FieldCorrection, MotorSource, Vector
+from mavcompass.correction import USUAL_EXPONENT, FieldCorrection, MotorSource, Vector
 from mavcompass.errors import Refused
 from mavcompass.frames import (
     NUMBERED,
@@ -39,6 +41,10 @@ ARDUPILOT_SCALE_LIMITS = (1.0 / 1.5, 1.5)
 _AXES = "XYZ"
 _MOTOR_SOURCES: dict[int, MotorSource] = {1: "throttle", 2: "current"}
 _MOTOR_SOURCE_CODES = {"none": 0, "throttle": 1, "current": 2}
+PER_MOTOR, _EXPONENT = "COMPASS_PMOT_EN", "COMPASS_PMOT_EXP"
+_VECTORS = tuple(f"COMPASS_PMOT{motor}_{axis}" for motor in range(1, 5) for axis in _AXES)
+# Hidden from the list, but known by name, while PER_MOTOR is 0.
+PER_MOTOR_NAMES = (_EXPONENT, *_VECTORS)
 
 # The name says 68 and 293 degrees; the firmware's own numbers are these.
 ARDUPILOT_ORIENTATIONS: Orientations = {**NUMBERED, 38: rotation_of((90.0, 68.8, 293.3))}
@@ -92,6 +98,12 @@ def ardupilot_correction(parameters: Mapping[str, float], instance: int) -> Fiel
     no_matrix = not any(diagonals)
     scale = float(parameters.get(ardupilot_name("SCALE", instance, naming), 0.0))
     low, high = ARDUPILOT_SCALE_LIMITS
+    motors: tuple[float, ...] = _ardupilot_vector(parameters, "MOT", instance, naming)
+    source = _MOTOR_SOURCES.get(int(parameters.get("COMPASS_MOTCT", 0.0)), "none")
+    exponent = USUAL_EXPONENT
+    if instance == 1 and parameters.get(PER_MOTOR):
+        motors, source = tuple(float(parameters.get(name, 0.0)) for name in _VECTORS), "outputs"
+        exponent = float(parameters.get(_EXPONENT, USUAL_EXPONENT))
     return FieldCorrection(
         offsets_mgauss=_ardupilot_vector(parameters, "OFS", instance, naming),
         diagonals=(1.0, 1.0, 1.0) if no_matrix else diagonals,
@@ -99,8 +111,9 @@ def ardupilot_correction(parameters: Mapping[str, float], instance: int) -> Fiel
             (0.0, 0.0, 0.0) if no_matrix else _ardupilot_vector(parameters, "ODI", instance, naming)
         ),
         scale=scale if low <= scale <= high else 1.0,
-        motor_mgauss=_ardupilot_vector(parameters, "MOT", instance, naming),
-        motor_source=_MOTOR_SOURCES.get(int(parameters.get("COMPASS_MOTCT", 0.0)), "none"),
+        motor_mgauss=motors,
+        motor_source=source,
+        motor_exponent=exponent,
     )
 
 
@@ -190,13 +203,16 @@ def _free(parameters: Mapping[str, float], names: tuple[str, ...]) -> FloatArray
 def ardupilot_values(
     correction: FieldCorrection, instance: int, naming: ArduPilotNaming = "COMPASS_OFS2_X"
 ) -> dict[str, float]:
-    """Spell a correction as ArduPilot parameters; motor terms only where it has a motor source."""
+    """Spell a correction as ArduPilot parameters; motor terms only where it has a motor source.
+
+    Raises Refused for what only compass 1 can have.
+    """
     vectors: dict[str, tuple[float, ...]] = {
         "OFS": correction.offsets_mgauss,
         "DIA": correction.diagonals,
         "ODI": correction.off_diagonals,
     }
-    if correction.motor_source != "none":
+    if correction.motor_source in _MOTOR_SOURCES.values():
         vectors["MOT"] = correction.motor_mgauss
     values = {
         ardupilot_name(f"{stem}_{axis}", instance, naming): float(value)
@@ -204,6 +220,14 @@ def ardupilot_values(
         for axis, value in zip(_AXES, vector, strict=True)
     }
     values[ardupilot_name("SCALE", instance, naming)] = float(correction.scale)
-    if correction.motor_source != "none":
+    if correction.motor_source == "outputs":
+        if instance != 1:
+            raise Refused(
+                f"Compass {instance}: the firmware corrects only compass 1 motor by motor.",
+                "Give it one motor term for all, by current or throttle.",
+            )
+        values |= {PER_MOTOR: 1.0, _EXPONENT: correction.motor_exponent}
+        values |= dict(zip(_VECTORS, correction.motor_mgauss, strict=True))
+    elif correction.motor_source != "none":
         values["COMPASS_MOTCT"] = float(_MOTOR_SOURCE_CODES[correction.motor_source])
     return values

@@ -141,7 +141,7 @@ def px4_values(
         "SCALE": np.diag(m),
         "ODIAG": m[[0, 0, 1], [1, 2, 2]],
     }
-    if source != "none":
+    if source in _MOTOR_SOURCES.values():
         parts["COMP"] = np.linalg.solve(m, np.array(of_sensor.motor_mgauss)) / _MOTOR_UNIT_MGAUSS[source]
     values = {
         px4_name(f"{axis}{quantity}", instance): float(value)

@@ -70,7 +70,7 @@ _CALIBRATE = [
     *_axes("diagonal_", "", "of M, found"),
     *_axes("off_diagonal_", "", "of M, found", ("xy", "xz", "yz")),
     Column("scale", "number", "found"),
-    Column("motor_source", "text", "the load of the motor term: current, throttle or none"),
+    Column("motor_source", "text", "the load of the motor term: current, throttle, outputs or none"),
     *_axes("motor_", "_mgauss", "its share: mG/A, or mG at full throttle"),
 ]
 _DIAGNOSE = [

@@ -182,7 +182,7 @@ def _correction(correction: FieldCorrection) -> Row:
         | _numbers("diagonal_", "", correction.diagonals)
         | _numbers("off_diagonal_", "", correction.off_diagonals, _PAIRS)
         | {"scale": _number(correction.scale), "motor_source": correction.motor_source}
-        | _numbers("motor_", "_mgauss", correction.motor_mgauss)
+        | _numbers("motor_", "_mgauss", correction.motors.sum(axis=0))
     )
 
 

@@ -36,8 +36,7 @@ def heading_errors_rad(
     raw, stands, field_ned = _held(vehicle, instance, euler_to_matrix(roll_rad, pitch_rad, yaw))
     raw = raw @ vehicle.firmware.compasses.turned(instance).T
     chosen = vehicle.firmware.compasses.held(instance) if correction is None else correction
-    load = np.full(yaw.size, vehicle.board.surroundings().current_a)
-    field = chosen.apply(raw, load if chosen.motor_source == "current" else None)
+    field = chosen.apply(raw, vehicle.firmware.compasses.load(chosen))
     # Whatever turns the field about the vertical turns the heading the other way.
     true, found = (np.arctan2(ned[:, 1], ned[:, 0]) for ned in (field_ned, rotate(stands, field)))
     return np.asarray(wrap_pi(true - found), dtype=np.float64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from mavcompass.calibration.motion.fit import (
     MotionFit,
     fit_motion,
     level_headings,
+    motor_sigma_of,
     motors_variance,
     sigma_of,
 )
@@ -36,6 +38,12 @@ from mavcompass.units import STANDARD_GRAVITY_MPS2
 _LOAD_SPREAD: tuple[tuple[MotorSource, float], ...] = (("current", 1.0), ("throttle", 0.1))
 # Chance makes so many numbers as large as this once in a thousand times (chi-square).
 _MOTOR_CHI_SQUARE = {3: 16.3, 9: 27.9}
+# Powers of output times voltage that are tried, up to the end of COMPASS_PMOT_EXP's range.
+_EXPONENTS = (USUAL_EXPONENT, 1.0, 1.5, 2.0)
+# Outputs that differ by less of what they are hold a copter that hovers in still air.
+_APART = 0.01
+# One motor against the next, on each axis.
+_DIFFERENCES: FloatArray = np.kron(np.eye(3, 4) - np.eye(3, 4, 1), np.eye(3)).astype(np.float64)
 # A turn without a stop pulls at an accelerometer that sits so far from its centre; the level takes a third of
 # that for a lean (simulated: rover 0.32, copter 0.11).
 _FROM_CENTRE_M, _TAKEN_FOR_A_LEAN = 0.1, 1.0 / 3.0
@@ -177,7 +185,46 @@ def observe_motion(recorded: Recorded) -> Motion:
     if motion is None:
         fit = fit_motion(recorded, sections, "none")
         motion = Motion(recorded, record, reference, sections, fit, "none")
-    return motion
+    return _by_motor(motion, cut) or motion
+
+
+def _by_motor(common: Motion, cut: Callable[[FloatArray, FloatArray], Sections]) -> Motion | None:
+    """Fit a field for each motor; None where these are not told apart, or one for all explains as much.
+
+    Both are fits of the same sections, and are compared by their evidence. ArduPilot corrects compass 1 so.
+    """
+    recorded, track, instance = common.recorded, common.recorded.track, common.recorded.instance
+    time, limit_rad = track.compasses[instance].time_s, math.radians(recorded.limits.heading_deg)
+    powers = [track.motor_load(time, "outputs", exponent) for exponent in _EXPONENTS]
+    known = [load for load in powers if load is not None and np.isfinite(load).all()]
+    if instance != 1 or track.autopilot != "ardupilot" or len(known) < len(powers):
+        return None
+    apart = known[0] - known[0].mean(axis=1, keepdims=True)
+    if float(apart.std(axis=0).max()) < _APART * float(known[0].mean()):
+        return None
+    load = track.motor_load(time, common.load_source)
+    every = np.column_stack([*known, np.zeros(time.size) if load is None else load])
+    whole, found = cut(track.raw_field(instance), every), []
+    for k, exponent in enumerate(_EXPONENTS):
+        sections = whole.of_loads(slice(4 * k, 4 * k + 4))
+        fit = fit_motion(recorded, sections, "outputs")
+        if not _motors_show(sections, fit, _DIFFERENCES):
+            break
+        told = _motors_told(sections, fit, limit_rad)
+        each = Motion(recorded, common.record, common.reference, sections, fit, "outputs", told, exponent)
+        found.append((_evidence(each), each))
+    if not found:
+        return None
+    one = cut(track.raw_field(instance, motors=load is not None), every).of_loads(slice(-1, None))
+    alike = replace(common, sections=one, fit=fit_motion(recorded, one, common.load_source))
+    evidence, best = max(found, key=lambda pair: pair[0])
+    return best if best.motors_told and evidence > _evidence(alike) else None
+
+
+def _evidence(motion: Motion) -> float:
+    """Return a fit's log evidence with the prior of its loads, of which others may have more or fewer."""
+    sigma = motor_sigma_of(motion.sections, motion.load_source)
+    return motion.fit.log_evidence - motion.fit.motor.size * math.log(sigma)
 
 
 def _pulled_rad(rate_radps: FloatArray) -> float:

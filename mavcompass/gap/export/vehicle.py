@@ -89,7 +89,7 @@ def left_of_the_place(diagnosis: Diagnosis) -> float:
 
 def nominal_settings(track: Track) -> list[Setting]:
     """Return the iron that the calibration of compass 1 cures: the vehicle as far as it is known."""
-    correction = track.compasses[1].calibration or IDENTITY
+    correction = (track.compasses[1].calibration or IDENTITY).without_outputs()
     iron = known_iron(correction, np.zeros(0), correction.motor_source)
     return _iron(iron if iron.source == "current" else replace(iron, motor_mgauss=np.zeros(3)))
 

@@ -258,7 +258,10 @@ def _compass(track: Track, instance: int) -> MagSeries:
             f"{track.source or 'The recording'} has no compass {instance} (it has {have}).",
             "Choose one of them with --compass.",
         )
-    return track.compasses[instance]
+    compass = track.compasses[instance]
+    # What each motor has by itself stays taken out of the readings: the iron has one load at most.
+    left = tuple(replace(step, correction=step.correction.without_outputs()) for step in compass.in_force)
+    return replace(compass, in_force=left)
 
 
 def level_mgauss(replay: Replay) -> float:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from mavcompass.compass_parameters import (
+    PER_MOTOR,
+    PER_MOTOR_NAMES,
     PX4_BOARD,
     ardupilot_correction,
     ardupilot_correction_names,
@@ -73,6 +75,7 @@ def ardupilot_steps(history: Sequence[Change], instance: int) -> tuple[tuple[InF
     """Return ArduPilot's corrections of one compass over time, and whether they are known and possible."""
     final = {change.name: change.value for change in history}
     names = {*ardupilot_correction_names(instance, ardupilot_naming(final)), "COMPASS_MOTCT"}
+    names |= {PER_MOTOR, *PER_MOTOR_NAMES} if instance == 1 else set()
     offsets = ardupilot_correction_names(instance, ardupilot_naming(final))[:3]
     known = all(name in final for name in offsets)
     return _steps(history, names, known, lambda values: ardupilot_correction(values, instance))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import islice
 from typing import Any
 
@@ -15,7 +15,8 @@ from mavcompass.printable import printable
 from mavcompass.track import Series
 
 # SERVOn_FUNCTION: motors 1 to 8 and 9 to 12, throttle, throttle left and right.
-_MOTOR_FUNCTIONS = (*range(33, 41), *range(82, 86), 70, 73, 74)
+_OF_MIXER = (*range(33, 41), *range(82, 86))
+_MOTOR_FUNCTIONS = (*_OF_MIXER, 70, 73, 74)
 _LOWEST_US, _HIGHEST_US = 1000.0, 2000.0
 _MOST_TEXTS = 1000  # an hour of flight has some fifty
 
@@ -92,6 +93,8 @@ def motor_outputs(pulse_us: ArrayLike, parameters: Mapping[str, float]) -> Float
 
     The parameters tell which outputs are motors and their range; where they do not, every output that
     is in use counts, from 1000 to 2000. An output without pulses (0) is at rest. None without motors.
+    Those of a mixer have the range of MOT_PWM_MIN and MAX (AP_MotorsMulticopter, update_throttle_range), or
+    their own as others.
     """
     pulses = np.asarray(pulse_us)
     numbers = range(1, pulses.shape[1] + 1)
@@ -105,19 +108,21 @@ def motor_outputs(pulse_us: ArrayLike, parameters: Mapping[str, float]) -> Float
         return None
     out = np.empty((len(pulses), len(wanted)), order="F")
     for column, n in enumerate(wanted):
-        out[:, column] = _fraction(pulses[:, n - 1], n, parameters)
+        mixed = functions[n] in _OF_MIXER and parameters.get("MOT_PWM_MAX", 0.0) > 0.0
+        names = [f"SERVO{n}_{what}" for what in ("MIN", "MAX", "REVERSED")]
+        names = ["MOT_PWM_MIN", "MOT_PWM_MAX", ""] if mixed else names
+        out[:, column] = _fraction(pulses[:, n - 1], names, parameters)
     out[incredible("motors", pulses)] = np.inf
     return out
 
 
-def _fraction(pulse_us: NDArray[np.generic], number: int, parameters: Mapping[str, float]) -> FloatArray:
-    low = float(parameters.get(f"SERVO{number}_MIN", _LOWEST_US))
-    high = float(parameters.get(f"SERVO{number}_MAX", _HIGHEST_US))
+def _fraction(pulse_us: NDArray[np.generic], names: Sequence[str], told: Mapping[str, float]) -> FloatArray:
+    low, high, turned = map(told.get, names, (_LOWEST_US, _HIGHEST_US, 0.0))
     if not high > low:
         low, high = _LOWEST_US, _HIGHEST_US
     pulses = pulse_us.astype(np.float64)
     fraction = np.clip((pulses - low) / (high - low), 0.0, 1.0)
-    if parameters.get(f"SERVO{number}_REVERSED", 0.0):
+    if turned:
         fraction = 1.0 - fraction
     return np.where(pulses > 0.0, fraction, 0.0)
 

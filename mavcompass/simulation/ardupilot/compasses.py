@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from mavcompass.compass_parameters import (
@@ -12,6 +14,7 @@ from mavcompass.compass_parameters import (
     ardupilot_sensor_to_body,
 )
 from mavcompass.correction import FieldCorrection, Vector
+from mavcompass.frames import FloatArray
 from mavcompass.simulation.autopilot.board import Board
 from mavcompass.simulation.autopilot.compasses import Compasses
 from mavcompass.simulation.autopilot.parameters import ParameterStore
@@ -33,7 +36,8 @@ class CompassBank(Compasses):
         self._corrections: list[FieldCorrection] = []
         self._matrices: list[tuple[float, ...]] = []
         self._rotations: list[tuple[float, ...] | None] = []
-        self._motor_source = "none"
+        self.battery_volts: Callable[[], float] = lambda: 0.0
+        self._volts = 0.0
         self._free_angles: dict[str, float] = {}
         self._at_start()
 
@@ -68,7 +72,6 @@ class CompassBank(Compasses):
         values = self._store.values
         self._corrections = [ardupilot_correction(values, i) for i in INSTANCES]
         self._matrices = [tuple(c.matrix.ravel().tolist()) for c in self._corrections]
-        self._motor_source = self._corrections[0].motor_source
         self._rotations = [self._rotation(i) for i in INSTANCES]
 
     def correction(self, instance: int) -> FieldCorrection:
@@ -93,13 +96,21 @@ class CompassBank(Compasses):
         """Correct the new readings; a compass without data keeps its last field."""
         if not self._store.get("COMPASS_ENABLE", 1.0):
             return
-        load = 0.0
-        if self._motor_source != "none":
-            around = self._board.surroundings()
-            load = around.current_a if self._motor_source == "current" else around.throttle
+        # As Compass_PerMotor.h, set_voltage; from the first reading on, not from zero.
+        volts = self.battery_volts()
+        self._volts = 0.9 * self._volts + 0.1 * volts if self._volts else volts
         for i in INSTANCES:
             if not self._repeats(i):
-                self.fields[i - 1] = self._correct(i, load)
+                self.fields[i - 1] = self._correct(i)
+
+    def load(self, correction: FieldCorrection) -> float | FloatArray:
+        """Return what a motor term goes with: of outputs those of a copter's motors 1 to 4."""
+        if correction.motor_source != "outputs":
+            return super().load(correction)
+        if self._board.profile.firmware != "copter":
+            return np.zeros(4)
+        outputs = np.array(self._board.surroundings().motors)
+        return np.asarray((self._volts * outputs) ** correction.motor_exponent)
 
     def field(self, instance: int) -> Vector:
         """Return the corrected field of compass 1, 2 or 3, milligauss."""
@@ -117,14 +128,16 @@ class CompassBank(Compasses):
         x, y, z = (inverse @ self.field(instance) - np.asarray(c.offsets_mgauss)).tolist()
         return (x, y, z)
 
-    def _correct(self, instance: int, load: float) -> Vector:
+    def _correct(self, instance: int) -> Vector:
         c, m = self._corrections[instance - 1], self._matrices[instance - 1]
-        raw, o, k = self.raw(instance), c.offsets_mgauss, c.motor_mgauss
+        raw, o, k = self.raw(instance), c.offsets_mgauss, (0.0, 0.0, 0.0)
+        if c.motor_source != "none":
+            k = c.motor_field(self.load(c)).tolist()
         x, y, z = raw[0] + o[0], raw[1] + o[1], raw[2] + o[2]
         return (
-            m[0] * x + m[1] * y + m[2] * z + load * k[0],
-            m[3] * x + m[4] * y + m[5] * z + load * k[1],
-            m[6] * x + m[7] * y + m[8] * z + load * k[2],
+            m[0] * x + m[1] * y + m[2] * z + k[0],
+            m[3] * x + m[4] * y + m[5] * z + k[1],
+            m[6] * x + m[7] * y + m[8] * z + k[2],
         )
 
     def _rotation(self, instance: int) -> tuple[float, ...] | None:

@@ -64,6 +64,7 @@ class ArduPilot(Firmware):
         self.modes = modes = Modes(board, status, rules, ground, hover)
         self.arming = arming = Arming(board, status, store, rules, compasses, calibration, hover)
         self.reports = reports = ArduPilotReports(board, status, compasses, radio, rules, arming, store)
+        compasses.battery_volts = reports.battery_volts
         self.telemetry = telemetry = Telemetry(board, reports)
         self.steering = Steering(board, status, store, rules, radio, ground, hover, arming)
         self.commands = Commands(

@@ -57,6 +57,11 @@ class Compasses(ABC):
     def correction(self, instance: int) -> FieldCorrection:
         """Return the correction in force, in body axes."""
 
+    def load(self, correction: FieldCorrection) -> float | FloatArray:
+        """Return what the motor term of a correction goes with at this moment."""
+        around = self._board.surroundings()
+        return {"current": around.current_a, "throttle": around.throttle}.get(correction.motor_source, 0.0)
+
     def held(self, instance: int) -> FieldCorrection:
         """Return the correction that the parameters hold, in force or not."""
         return self.correction(instance)

@@ -164,7 +164,7 @@ class Reports(ABC):
         """Report the motors' outputs: those of four rotors, or of a left and a right wheel."""
         board, body, profile = self.board, self.board.body, self.board.profile
         if profile.hovers:
-            pwm = [int(1000 + 1000 * board.surroundings().throttle)] * 4
+            pwm = [int(1000 + 1000 * output) for output in board.surroundings().motors]
         else:
             ahead = body.speed_mps / profile.speed_max_mps
             turn = body.yaw_rate_radps / profile.yaw_rate_max_radps

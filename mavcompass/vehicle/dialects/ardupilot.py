@@ -15,6 +15,8 @@ from typing import Literal
 
 from mavcompass.calibration.result import OwnFinding
 from mavcompass.compass_parameters import (
+    PER_MOTOR,
+    PER_MOTOR_NAMES,
     ArduPilotNaming,
     ardupilot_angle_names,
     ardupilot_correction,
@@ -75,7 +77,7 @@ class ArduPilotDialect(CompassDialect):
     def compass_parameters_typed(self, context: Context) -> Script[dict[str, Parameter]]:
         """Read everything about all compasses and what `rules.vehicle` adds, with types.
 
-        The spelling of the names is found by two questions.
+        The spelling of the names is found by two questions. What each motor has is asked for where in force.
         """
         probes = yield from protocol.read(context, _SPELLING_PROBES, self.encoding, enough=bool)
         if not probes:
@@ -85,8 +87,9 @@ class ArduPilotDialect(CompassDialect):
         for instance in ARDUPILOT_COMPASSES:
             names += self.instance_names(instance, naming)
         held = yield from self.read_typed(context, names)
-        angles = ardupilot_angle_names(numbers(held))
-        return held | (yield from self.read_typed(context, angles))
+        told = numbers(held)
+        more = ardupilot_angle_names(told) + (PER_MOTOR_NAMES if told.get(PER_MOTOR) else ())
+        return held | (yield from self.read_typed(context, more))
 
     def instance_names(self, instance: int, naming: ArduPilotNaming) -> tuple[str, ...]:
         """List all parameters of one compass."""
@@ -104,6 +107,8 @@ class ArduPilotDialect(CompassDialect):
             return int(match[1])
         if match := re.fullmatch(r"COMPASS_(?:OFS|DIA|ODI|MOT)([23]?)_[XYZ]", name):
             return int(match[1] or 1)
+        if name in (PER_MOTOR, *PER_MOTOR_NAMES):
+            return 1
         if match := re.fullmatch(r"COMPASS_(?:SCALE|USE|ORIENT|EXTERNAL|EXTERN|DEV_ID)([23]?)", name):
             return int(match[1] or 1)
         return None
@@ -142,12 +147,8 @@ class ArduPilotDialect(CompassDialect):
         in_force = ardupilot_correction(parameters, instance)
         scale_name = ardupilot_name("SCALE", instance, naming)
         if scale_name not in parameters:  # firmware before 4.0: the matrix carries it
-            correction = FieldCorrection.from_matrix(
-                correction.offsets_mgauss,
-                correction.matrix,
-                motor_mgauss=correction.motor_mgauss,
-                motor_source=correction.motor_source,
-            )
+            plain = FieldCorrection.from_matrix(correction.offsets_mgauss, correction.matrix)
+            correction = plain.with_motors(correction.motors, correction)
         wanted = values("ardupilot", parameters, instance, correction, turned)
         zero = all(same_value(value, 0.0) for value in correction.offsets_mgauss)
         if zero and self.rules.offset_instead_of_zero_mgauss:

@@ -211,7 +211,7 @@ def _highres(
     track: Track, compass: MagSeries, raw: FloatArray, acc: FloatArray, gyro: FloatArray, start_s: float
 ) -> Iterator[SaidMessage]:
     correction = _correction_in_use(track, compass)
-    load = track.motor_load(compass.time_s, correction.motor_source)
+    load = track.load_of(correction, compass.time_s)
     field_gauss = correction.apply(raw, load) / MGAUSS_PER_GAUSS
     rows = np.hstack([acc, gyro, field_gauss]).tolist()
 

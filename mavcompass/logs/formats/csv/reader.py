@@ -42,6 +42,7 @@ VECTORS: dict[str, tuple[str, ...]] = {
 SCALARS: dict[str, str] = {
     "gps_yaw_rad": "gps_yaw_rad",
     "current_a": "current_a",
+    "voltage_v": "voltage_v",
     "throttle": "throttle",
     "temperature_degc": "temperature_degc",
 }

@@ -195,7 +195,8 @@ def columns(logs: Sequence[Log], clock: BootClock, parameters: Mapping[str, floa
     out |= {name: series for name, series in _imu(first("IMU")).items() if series is not None}
     out["attitude_rad"] = _attitude(first("ATT"))
     out["truth_q"] = _truth(first("SIM"))
-    out["current_a"] = _current(first("BAT") or first("CURR"))
+    battery = first("BAT") or first("CURR")
+    out["current_a"], out["voltage_v"] = _of_battery(battery, "Curr"), _of_battery(battery, "Volt")
     out["throttle"] = _throttle(first("CTUN"), first("THR"))
     out["motors"] = _motors(first("RCOU"), parameters)
     return {name: series for name, series in out.items() if series is not None and len(series)}
@@ -256,11 +257,11 @@ def _gps(gps: Placed | None) -> dict[str, Series | None]:
     return out
 
 
-def _current(battery: Placed | None) -> Series | None:
-    """Read the first battery's current; old logs keep it as hundredths of an ampere in whole numbers."""
-    if battery is None or "Curr" not in battery:
+def _of_battery(battery: Placed | None, name: str) -> Series | None:
+    """Read the first battery's current or voltage; old logs keep it as hundredths in whole numbers."""
+    if battery is None or name not in battery:
         return None
-    return battery.series("Curr", otherwise=_CENTI if battery.whole_numbers("Curr") else 1.0)
+    return battery.series(name, otherwise=_CENTI if battery.whole_numbers(name) else 1.0)
 
 
 def _throttle(control: Placed | None, rover: Placed | None) -> Series | None:

@@ -117,6 +117,8 @@ def _highres_mgauss(rows: object, autopilot: str) -> FloatArray:
 
 
 _CENTI = 0.01
+# SYS_STATUS's voltage where it is not told.
+_NO_VOLTAGE = 65535
 
 
 def body_columns(body: Samples) -> dict[str, Series]:
@@ -141,7 +143,7 @@ def _present(columns: Mapping[str, Series | None]) -> dict[str, Series]:
 
 def columns(placer: Placer, parameters: Mapping[str, float]) -> dict[str, Series]:
     """Build every column of the vehicle as a whole that the messages give."""
-    out: dict[str, Series | None] = {**_gps(placer), **_current(placer)}
+    out: dict[str, Series | None] = {**_gps(placer), **_battery(placer)}
     for name, column, read in _SIMPLE:
         found = placer.take(name)
         if found is not None:
@@ -198,8 +200,9 @@ def _gps(placer: Placer) -> dict[str, Series]:
     return out
 
 
-def _current(placer: Placer) -> dict[str, Series]:
-    """Read the first battery's current from SYS_STATUS or BATTERY_STATUS, whichever has more of it."""
+def _battery(placer: Placer) -> dict[str, Series]:
+    """Read the first battery's voltage; its current from whichever of two messages has more of it."""
+    out: dict[str, Series] = {}
     best: Series | None = None
     for name in ("SYS_STATUS", "BATTERY_STATUS"):
         found = placer.take(name)
@@ -207,9 +210,11 @@ def _current(placer: Placer) -> dict[str, Series]:
             continue
         rows: Any = found.rows
         measured = rows.current_battery >= 0
+        if name == "SYS_STATUS" and bool((told := rows.voltage_battery != _NO_VOLTAGE).any()):
+            out["voltage_v"] = Series.of(found.time_s[told], rows.voltage_battery[told] * 1e-3)
         if name == "BATTERY_STATUS":
             measured &= rows.id == 0
         if np.count_nonzero(measured) > (0 if best is None else len(best)):
             current = open_ended(rows.current_battery[measured]) * _CENTI
             best = Series.of(found.time_s[measured], current)
-    return {} if best is None else {"current_a": best}
+    return out if best is None else out | {"current_a": best}

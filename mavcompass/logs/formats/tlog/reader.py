@@ -186,7 +186,7 @@ WANTED: dict[str, tuple[str, ...]] = {
     "GPS_RAW_INT": ("fix_type", "lat", "lon", "alt", "vel", "cog", "yaw"),
     "SYSTEM_TIME": ("time_unix_usec", "time_boot_ms"),
     "SCALED_PRESSURE": ("time_boot_ms", "temperature"),
-    "SYS_STATUS": ("current_battery",),
+    "SYS_STATUS": ("voltage_battery", "current_battery"),
     "BATTERY_STATUS": ("id", "current_battery"),
     "VFR_HUD": ("throttle",),
     "SERVO_OUTPUT_RAW": ("port", *(f"servo{n}_raw" for n in range(1, 9))),
