@@ -32,6 +32,7 @@ from mavcompass.gap.replay.nuisance import (
 from mavcompass.gap.replay.rows import compass_rows, middles, shared_period_s, swing, unbroken
 from mavcompass.gap.replay.surroundings import (
     column,
+    compass_of,
     every_s,
     goes_about,
     place_of,
@@ -45,7 +46,7 @@ from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S
 from mavcompass.simulation.effects.effect import Effect, Group, Signals, Stage
 from mavcompass.simulation.effects.sampling import thinned
 from mavcompass.simulation.physics.signals import Reading, RecordedStimulus, Stimulus, Turning, ideal
-from mavcompass.track import MagSeries, Series, Track
+from mavcompass.track import Series, Track
 from mavcompass.units import STANDARD_GRAVITY_MPS2
 
 # Motors that turn both ways stand still at half of their output.
@@ -152,7 +153,7 @@ def replay(
 
     Raises BadRecording where there is no such compass, or too little to compare.
     """
-    compass = _compass(track, instance)
+    compass = compass_of(track, instance)
     period_s = shared_period_s([track], instance) if period_s is None else period_s
     rows = compass_rows(track, compass, period_s, most_averaged)
     picked = middles(rows.time_s.size, rows.width)
@@ -249,19 +250,6 @@ def replay(
 def _at_rest(reference: Reference) -> FloatArray:
     """Return the specific force of what does not accelerate, (N, 3)."""
     return reference.rotation[:, 2, :] * -STANDARD_GRAVITY_MPS2
-
-
-def _compass(track: Track, instance: int) -> MagSeries:
-    if instance not in track.compasses:
-        have = ", ".join(str(i) for i in sorted(track.compasses)) or "none"
-        raise BadRecording(
-            f"{track.source or 'The recording'} has no compass {instance} (it has {have}).",
-            "Choose one of them with --compass.",
-        )
-    compass = track.compasses[instance]
-    # What each motor has by itself stays taken out of the readings: the iron has one load at most.
-    left = tuple(replace(step, correction=step.correction.without_outputs()) for step in compass.in_force)
-    return replace(compass, in_force=left)
 
 
 def level_mgauss(replay: Replay) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from mavcompass.gap.attitude.reference import Reference
 from mavcompass.gap.attitude.sensors import local_position
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.physics.signals import Stimulus
-from mavcompass.track import Series, Track
+from mavcompass.track import MagSeries, Series, Track
 
 
 def position_of(track: Track, reference: Reference) -> Series | None:
@@ -152,6 +153,20 @@ def _measured_by_others(
         return None
     horizontal, down = np.mean(seen, axis=0)
     return np.array([model[0] * horizontal / level, model[1] * horizontal / level, down])
+
+
+def compass_of(track: Track, instance: int) -> MagSeries:
+    """Return a compass with one load of its motors at most. Raises BadRecording where there is none."""
+    if instance not in track.compasses:
+        have = ", ".join(str(i) for i in sorted(track.compasses)) or "none"
+        raise BadRecording(
+            f"{track.source or 'The recording'} has no compass {instance} (it has {have}).",
+            "Choose one of them with --compass.",
+        )
+    compass = track.compasses[instance]
+    # What each motor has by itself stays taken out of the readings: the iron has one load at most.
+    left = tuple(replace(step, correction=step.correction.without_outputs()) for step in compass.in_force)
+    return replace(compass, in_force=left)
 
 
 def place_of(track: Track) -> tuple[float, float, float] | None:
