@@ -16,7 +16,6 @@ import json
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -44,10 +43,6 @@ LOT: tuple[tuple[str, str, bool, int, int], ...] = (
     ("vehicles", "single", False, 944000, 32),
     ("vehicles", "pair", False, 944000, 16),
     ("vehicles", "outside", False, 944000, 20),
-    ("watched", "none", True, 947000, 80),
-    ("watched", "single", True, 947000, 48),
-    ("watched", "pair", True, 947000, 24),
-    ("watched", "outside", True, 947000, 24),
     *(("bench", "none", True, 9421 + k, 7) for k in range(4)),
     *(("bench", "single", True, 9421 + k, 9) for k in range(4)),
     *(("bench", "pair", True, 9421 + k, 6) for k in range(4)),
@@ -60,8 +55,6 @@ LOT: tuple[tuple[str, str, bool, int, int], ...] = (
     ("another", "pair", True, 943000, 28),
 )
 JUDGES = "another"
-# Vehicles whose attitude somebody measured: an exact attitude beside noise that wanders, as sensors' does.
-WATCHED = "watched"
 # What a parameter costs, in ln n, and an effect: of those that choose best a middle one; others to compare.
 # Where the attitude is independent chance gains no more than the noise makes.
 PENALTY: dict[str, tuple[float, float]] = {
@@ -111,12 +104,7 @@ def main() -> int:
     )
     if wanted.evidence is None or (wanted.write and wanted.every != 1):
         sys.exit("Give --evidence FILE; the tables are made of all cases: --write goes without --every.")
-    # Whoever measured an attitude wants to know what only that shows.
-    lines = [
-        line
-        for line in collected(wanted.evidence, wanted.workers, wanted.every)
-        if line["maker"] != WATCHED or line["kind"] == "exact"
-    ]
+    lines = collected(wanted.evidence, wanted.workers, wanted.every)
     learnt = [line for line in lines if line["maker"] != JUDGES]
     judged = [line for line in lines if line["maker"] == JUDGES]
     penalties(learnt)
@@ -154,17 +142,14 @@ def examined(of: Wanted) -> Line | None:
         label, track, baseline = draw_case("bench", of.seed, of.index, of.tier)  # type: ignore[arg-type]
         cured = True
     else:
-        maker = "vehicles" if of.maker == WATCHED else of.maker
-        case = case_of(maker, of.tier, of.seed + of.index)  # type: ignore[arg-type]
+        case = case_of(of.maker, of.tier, of.seed + of.index)  # type: ignore[arg-type]
         track, baseline = case.track, case.baseline
-        if of.maker == WATCHED:
-            track, baseline = (replace(one, reference_q=one.truth_q) for one in (track, baseline) if one)
         cured = case.vehicle is None or case.vehicle.cure != "old"
         spelt = (
             f"{name}:" + ",".join(f"{key}={value:.9g}" for key, value in values.items())
             for name, values in case.effects
         )
-        label = Label(of.tier, "", of.seed + of.index, tuple(spelt), generator=maker)  # type: ignore[arg-type]
+        label = Label(of.tier, "", of.seed + of.index, tuple(spelt), generator=of.maker)  # type: ignore[arg-type]
     if not (of.with_baseline or cured):
         return None
     withheld = withheld_effects(label.ids) if of.tier == "withheld" else frozenset()
