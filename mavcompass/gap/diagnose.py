@@ -159,11 +159,11 @@ def _replays(
     before = made(baseline, other)
     # What is late in the recording alone is a gap: its rows are no earlier than the baseline's.
     now = made(track, compass, late_s=before.late_s)
-    if now.iron.source == before.iron.source:
-        now = replace(now, iron=replace(now.iron, usual_load=before.iron.usual_load))
     if before.averaged > now.averaged:
         # Means of fewer readings scatter more: a recording that lacks readings is held against the like.
         before = replay(baseline, other, reference, period_s, now.averaged, late_s=before.late_s)
+    if now.iron.source == before.iron.source:
+        now = replace(now, iron=replace(now.iron, usual_load=before.iron.usual_load))
     return now, before
 
 

@@ -244,7 +244,8 @@ class Overrides:
         """
 
         def loading() -> Script[str]:
-            if (yield from self.hold(context, self.dialect.prompt_estimator(parameters, flying=False))):
+            prompt = self.dialect.prompt_estimator(parameters, flying=False)
+            if prompt and (yield from self.hold(context, prompt)):
                 yield from pause(context, TAKES_S)
             how = yield from self.dialect.load_written(context, written)
             yield from pause(context, TAKES_S)

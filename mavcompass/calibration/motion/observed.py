@@ -195,15 +195,17 @@ def _by_motor(common: Motion, cut: Callable[[FloatArray, FloatArray], Sections])
     """
     recorded, track, instance = common.recorded, common.recorded.track, common.recorded.instance
     time, limit_rad = track.compasses[instance].time_s, math.radians(recorded.limits.heading_deg)
-    powers = [track.motor_load(time, "outputs", exponent) for exponent in _EXPONENTS]
-    known = [load for load in powers if load is not None and np.isfinite(load).all()]
-    if instance != 1 or track.autopilot != "ardupilot" or len(known) < len(powers):
+    if instance != 1 or track.autopilot != "ardupilot":
         return None
-    apart = known[0] - known[0].mean(axis=1, keepdims=True)
-    if float(apart.std(axis=0).max()) < _APART * float(known[0].mean()):
+    product = track.motor_load(time, "outputs", 1.0)
+    if product is None or not np.isfinite(product).all():
+        return None
+    powers = [product**exponent for exponent in _EXPONENTS]
+    apart = powers[0] - powers[0].mean(axis=1, keepdims=True)
+    if float(apart.std(axis=0).max()) < _APART * float(powers[0].mean()):
         return None
     load = track.motor_load(time, common.load_source)
-    every = np.column_stack([*known, np.zeros(time.size) if load is None else load])
+    every = np.column_stack([*powers, np.zeros(time.size) if load is None else load])
     whole, found = cut(track.raw_field(instance), every), []
     for k, exponent in enumerate(_EXPONENTS):
         sections = whole.of_loads(slice(4 * k, 4 * k + 4))

@@ -104,7 +104,7 @@ def statistics(evidence: Evidence, field: Closing, heading: Closing) -> Statisti
     residual = _reduced(remainder.problem, remainder.fit)
     tests = evidence.goodness.tests
     improbable = math.log1p(-math.log10(max(min((test.p for test in tests), default=1.0), 1e-300)))
-    gained = (_squares(held, none) - _squares(held, best)) / spread
+    gained = (held.squares(none) - held.squares(best)) / spread
     values = {
         "lead": math.log1p(min(posterior.lead, _ALONE)),
         "residual": math.log(residual),
@@ -123,14 +123,10 @@ def statistics(evidence: Evidence, field: Closing, heading: Closing) -> Statisti
     return Statistics(kind, posterior.gain, gained, values)
 
 
-def _squares(problem: Problem, fit: Fit) -> float:
-    return float(np.sum(problem.residual(problem.predict(fit)) ** 2)) if problem.count else 0.0
-
-
 def _reduced(problem: Problem, fit: Fit) -> float:
     """Return the mean square of whitened readings that a fit leaves; one where there are none."""
     size = 3 * len(problem.groups) * problem.count
-    return max(_squares(problem, fit) / size, 1e-3) if size else 1.0
+    return max(problem.squares(fit) / size, 1e-3) if size else 1.0
 
 
 def figures(evidence: Evidence, named: Fit, with_scatter: bool) -> tuple[Closing, Closing]:

@@ -125,6 +125,10 @@ class Problem:
         white = (self.noise[g].whiten_many(self._bridged(changes[g])) for g in self.groups)
         return np.concatenate([values[self.index].reshape(-1, values.shape[2]) for values in white])
 
+    def squares(self, fit: Fit) -> float:
+        """Return the whitened sum of squares that a fit leaves, the priors' apart; zero without rows."""
+        return float(np.sum(self.residual(self.predict(fit)) ** 2)) if self.count else 0.0
+
     def lasting_covariance(self, fit: Fit) -> FloatArray:
         """Return the covariance of a fit's nuisances and free parameters where errors last for seconds.
 

@@ -316,19 +316,16 @@ class Search:
         problem, best = self.problem, fit
         reading_s = float(np.median(np.diff(problem.replay.time_s[problem.index])))
 
-        def left(fit: Fit) -> float:
-            return float(np.sum(problem.residual(problem.predict(fit)) ** 2))
-
         for i, (term, theta) in enumerate(zip(fit.terms, fit.thetas, strict=True)):
             for moment in np.flatnonzero([name in MOMENTS for name in term.effect.names]):
                 if not term.lower[moment] < theta[moment] < term.upper[moment]:
                     continue
                 unit = reading_s * np.eye(theta.size)[moment]
-                least = left(best)
+                least = problem.squares(best)
                 for readings in (8, -8, 4, -4, 2, -2, 1, -1):
                     while True:
                         trial = best.changed(i, term, best.thetas[i] + readings * unit)
-                        if (now := left(trial)) >= least:
+                        if (now := problem.squares(trial)) >= least:
                             break
                         best, least = trial, now
         return fit if best is fit else problem.refit(best)

@@ -25,9 +25,7 @@ def position_of(track: Track, reference: Reference) -> Series | None:
     if measured is not None and len(measured) > 1:
         return without_scatter(measured)
     received = local_position(track.place)
-    if received is None or not goes_about(received, reference):
-        return None
-    return without_scatter(received)
+    return without_scatter(received) if received and goes_about(received, reference) else None
 
 
 def without_scatter(position: Series) -> Series:
