@@ -40,10 +40,10 @@ def together(order: Order, at: int) -> range:
 
 
 def late_members(order: Order) -> range:
-    """Return the members that make readings late, where what follows them is the sensor's alone; none at the
+    """Return the members that make readings late, where what follows them is the sensors' alone; none at the
     end of all others."""
     late = [at for at, (effect, _) in enumerate(order) if _is_late(effect)]
-    if not late or any(effect.stage is not Stage.SENSOR for effect, _ in order[late[-1] + 1 :]):
+    if not late or any(effect.stage < Stage.SENSOR for effect, _ in order[late[-1] + 1 :]):
         return range(len(order), len(order))
     return range(late[0], late[-1] + 1)
 
@@ -64,6 +64,17 @@ def made_late(before: Signals, members: Order, everything: Sequence[FloatArray])
     delay_s, time_constant_s = lateness(members, everything)
     wanted_s = before.stimulus.time_s - delay_s
     return before.with_mag(late_field(before, wanted_s, time_constant_s=time_constant_s))
+
+
+def after(order: Order, everything: Sequence[FloatArray], states: Sequence[Signals], at: int) -> Signals:
+    """Return the signals after member `at`, of those before it and all before."""
+    (effect, place), late = order[at], together(order, at)
+    if len(late) == 1:
+        return effect.forward(states[at], everything[place], {}, None)
+    # What is late and is made later waits for that.
+    return (
+        made_late(states[late.start], [order[i] for i in late], everything) if at == late[-1] else states[at]
+    )
 
 
 def make_changes_late(mag_mgauss: FloatArray, time_s: FloatArray, by_s: tuple[float, float]) -> FloatArray:
@@ -183,18 +194,19 @@ class Derivatives:
 
     def _carried(self, at: int, moved: Sequence[Signals], steps: Sequence[float]) -> Changes:
         """Return the changes that come of it when the signals before member `at` are moved by steps."""
-        before, rest = self._states[at], self._order[at : self._end(at)]
+        before, end = self._states[at], self._end(at)
         # What comes after asks the world for its attitude at most, and the compass for the rest.
         same = all(one.stimulus.rotation is before.stimulus.rotation for one in moved)
-        if same and all(effect.stage in EACH_BY_ITSELF for effect, _ in rest):
+        if same and all(effect.stage in EACH_BY_ITSELF for effect, _ in self._order[at:end]):
             own = self._between([one.reading for one in moved], before.reading, steps)
             return own | {"mag": self._through(at, own["mag"])}
         ends = []
         for one in moved:
-            for effect, place in rest:
-                one = effect.forward(one, self._thetas[place], {}, None)
-            ends.append(one.reading)
-        return self._between(ends, self._states[self._end(at)].reading, steps)
+            states = [*self._states[:at], one]
+            for later in range(at, end):
+                states.append(after(self._order, self._thetas, states, later))
+            ends.append(states[-1].reading)
+        return self._between(ends, self._states[end].reading, steps)
 
     def _through(self, at: int, mag_mgauss: FloatArray) -> FloatArray:
         """Return what members from `at` on make of changes of the compass (N, 3, k)."""
@@ -266,16 +278,8 @@ class Composition:
         states = [self.replay.signals]
         if without_last:
             states = list(without_last[: 1 + [place for _, place in order].index(len(everything) - 1)])
-        for at, (effect, place) in enumerate(order[len(states) - 1 :], len(states) - 1):
-            late = together(order, at)
-            if len(late) == 1:
-                states.append(effect.forward(states[-1], everything[place], {}, None))
-            else:
-                # What is late and is made later waits for that.
-                last = at == late[-1]
-                members = [order[i] for i in late]
-                before = states[late[0]]
-                states.append(made_late(before, members, everything) if last else states[-1])
+        for at in range(len(states) - 1, len(order)):
+            states.append(after(order, everything, states, at))
         return states
 
     def changes(self, fit: Fit, states: list[Signals], wanted: Sequence[int]) -> Changes:

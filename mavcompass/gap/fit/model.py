@@ -140,6 +140,25 @@ class Problem:
         label = np.tile(np.repeat(block, 3), len(self.groups))
         return cluster_covariance(columns, r, label, self._known(weak_precision(fit.terms)))
 
+    def information(self, fit: Fit, about: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+        """Return what the readings alone tell of some nuisances and free parameters (K) of a fit.
+
+        As the precision (K, K) of a normal distribution, all others integrated out with what is known of
+        them, and that times its mean, (K,).
+        """
+        free = [theta[term.free] for term, theta in zip(fit.terms, fit.thetas, strict=True)]
+        values = np.concatenate([fit.nuisances, *free])
+        off = values - np.append(self.prior.mean, np.zeros(values.size - self.prior.mean.size))
+        columns, r = self.jacobian(fit), self.residual(self.predict(fit))
+        others = np.setdiff1d(np.arange(values.size), about)
+        known = self._known(weak_precision(fit.terms))[np.ix_(others, others)]
+        own, beside = columns[:, about], columns[:, others]
+        across = own.T @ beside
+        through = np.linalg.solve(beside.T @ beside + known, across.T).T
+        told = own.T @ own - through @ across.T
+        toward = own.T @ r - through @ (beside.T @ r - known @ off[others])
+        return told, told @ values[about] + toward
+
     def values(self, fit: Fit) -> dict[str, FloatArray]:
         """Return what a fit makes of each nuisance, by its id."""
         return {nuisance: fit.nuisances[at] for nuisance, at in self.prior.places.items()}

@@ -15,7 +15,7 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude.sensors import north_east_m
-from mavcompass.gap.fit.hypothesis import Fit
+from mavcompass.gap.fit.hypothesis import Fit, weak_precision
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.search import Search
 from mavcompass.gap.replay.noise import Noise, SensorNoise
@@ -52,6 +52,7 @@ _FROM_DAY_TO_DAY = {
     TELEMETRY_AGE: usual.age.daily_s,
     IRON_MATRIX: usual.compass.daily_matrix,
     IRON_OFFSET: usual.compass.daily_offset_mgauss,
+    REFERENCE_YAW: usual.autopilot.daily_rad,
 }
 # Two waits never differ by more than a step of the messages: a normal of half their variance reaches that at
 # 3.5 sigma, one of all of it at 2.4, and would take a lag of two steps for a wait.
@@ -181,78 +182,80 @@ def _represents(problem: Problem, fit: Fit) -> bool:
 
 
 def _posterior(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, trust: Trust | None) -> Prior:
-    """Carry over what a baseline tells of the vehicle and its place, with the joint covariance that it
-    leaves."""
+    """Carry over what a baseline tells of the vehicle and its place, beside what is known of this recording.
+
+    What its readings alone tell, with the joint information L that they leave (`Problem.information`), is
+    told of another day with (1 + L D)^-1 L, D being by how much days differ.
+    """
     kept = {IRON_MATRIX, IRON_OFFSET, TELEMETRY_AGE, TELEMETRY_MEAN}
     if _same_place(replay, baseline):
         kept.add(WORLD_FIELD.id)
+    # A witness of the yaw is off by the same constant as it was in the baseline.
+    witnessed = not (replay.reference.yaw_unknown or baseline.reference.yaw_unknown)
     own, there = prior_of(replay, trust), problem.prior.places
-    mean, precision = own.mean.copy(), own.precision.copy()
     source, place = list[int](), list[int]()  # of parameters that are taught: there, and here
+    daily, shift = list[float](), list[float]()
     for nuisance, at in own.places.items():
-        theta = fit.nuisances[there[nuisance]] if nuisance in there else np.zeros(0)
-        if nuisance in kept and theta.size == at.stop - at.start:
-            mean[at] = theta
-            if nuisance == TELEMETRY_AGE:
-                mean[at] += baseline.late_s - replay.late_s
-            if nuisance == WORLD_FIELD.id:
-                mean[at] += _field_apart(replay, baseline)
-            source += range(there[nuisance].start, there[nuisance].stop)
-            place += range(at.start, at.stop)
-        elif (
-            nuisance == REFERENCE_YAW
-            and theta.size
-            and not (replay.reference.yaw_unknown or baseline.reference.yaw_unknown)
-        ):
-            # A witness of the yaw is off by the same constant as it was in the baseline.
-            constant = there[nuisance].start
-            variance = usual.baseline.widening * float(fit.covariance[constant, constant])
-            mean[at.start] = theta[0]
-            precision[at.start, at.start] = 1.0 / (variance + usual.autopilot.daily_rad**2)
-    folded_from, folded_to = fit.nuisances.size, own.mean.size
-    folded = []
+        was = there.get(nuisance, slice(0, 0))
+        count = at.stop - at.start
+        if nuisance == REFERENCE_YAW:
+            count = min(int(witnessed), was.stop - was.start)
+        elif nuisance not in kept or count != was.stop - was.start:
+            continue
+        source += range(was.start, was.start + count)
+        place += range(at.start, at.start + count)
+        daily += np.broadcast_to(
+            _daily(nuisance, fit.nuisances[was], trust, replay, baseline), at.stop - at.start
+        )[:count].tolist()
+        shift += np.broadcast_to(_shift(nuisance, replay, baseline), at.stop - at.start)[:count].tolist()
+    folded, folded_from, folded_to = list[Prior](), fit.nuisances.size, own.mean.size
     for term, theta in zip(fit.terms, fit.thetas, strict=True):
         index = np.flatnonzero(term.free)
-        folded.append(Prior.of(term.effect, theta, np.maximum(term.effect.scale, 1e-9) * 1e-6))
+        # What the fit held stays where it is; what it moved is as little known beforehand as it was there.
+        known = (1e-6 * np.maximum(term.effect.scale, 1e-9)) ** -2.0
+        known[index] = weak_precision((term,))
+        folded.append(Prior((term.effect,), np.where(term.free, 0.0, theta), np.diag(known)))
         source += range(folded_from, folded_from + index.size)
         place += (folded_to + index).tolist()
+        daily += [0.0] * index.size
+        shift += [0.0] * index.size
         folded_from += index.size
         folded_to += theta.size
-    prior = replace(own, mean=mean, precision=precision).beside(*folded)
-    if not source:
-        return prior
-    daily = np.zeros(prior.mean.size)
-    if replay.reference.kind != "columns":
-        for nuisance, at in prior.places.items():
-            daily[at] = _daily(nuisance, prior.mean[at], trust, replay, baseline)
-    covariance = usual.baseline.widening * fit.covariance[np.ix_(source, source)] + np.diag(daily[place] ** 2)
-    told = np.maximum(np.diag(covariance) * np.diag(prior.precision)[place], 1.0)
-    # What a baseline hardly shows (motors that idle) stays within what is stated for this recording.
-    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    precision, mean = prior.precision.copy(), prior.mean.copy()
-    precision[np.ix_(place, place)] = np.linalg.pinv(covariance / np.outer(size, size)) * np.outer(
-        np.sqrt(told) / size, np.sqrt(told) / size
-    )
-    known = np.flatnonzero(np.array(place) < own.mean.size)
-    at_known = np.array(place)[known]
-    mean[at_known] = own.mean[at_known] + (mean[at_known] - own.mean[at_known]) / told[known]
-    return replace(prior, mean=mean, precision=precision)
+    prior = own.beside(*folded)
+    told, toward = problem.information(fit, source)
+    told, toward = told / usual.baseline.widening, toward / usual.baseline.widening
+    over = np.linalg.inv(np.eye(len(place)) + told * np.square(daily))
+    precision, given = prior.precision.copy(), prior.precision @ prior.mean
+    precision[np.ix_(place, place)] += over @ told
+    given[place] += over @ (toward + told @ np.array(shift))
+    precision = 0.5 * (precision + precision.T)
+    return replace(prior, mean=np.asarray(np.linalg.solve(precision, given)), precision=precision)
 
 
 def _daily(
-    nuisance: str, mean: FloatArray, trust: Trust | None, replay: Replay, baseline: Replay
+    nuisance: str, there: FloatArray, trust: Trust | None, replay: Replay, baseline: Replay
 ) -> FloatArray | float:
     """Say how much each parameter of a nuisance differs from one recording to the next."""
-    daily = _FROM_DAY_TO_DAY.get(nuisance, 0.0)
+    laboratory = replay.reference.kind == "columns"
+    daily = 0.0 if laboratory else _FROM_DAY_TO_DAY.get(nuisance, 0.0)
     if nuisance == TELEMETRY_AGE:
         waiting_s = _BOUNDED * max(_waiting_s(replay), _waiting_s(baseline))
-        return np.hypot(daily, np.minimum(waiting_s, usual.baseline.waiting * np.abs(mean + replay.late_s)))
+        return np.hypot(
+            daily, np.minimum(waiting_s, usual.baseline.waiting * np.abs(there + baseline.late_s))
+        )
     if nuisance == IRON_OFFSET:
         # A field of the motors is as many mG over the loads that there were.
         over = float(np.ptp(np.concatenate([replay.iron.load, baseline.iron.load])))
-        daily = daily * np.concatenate([np.ones(3), np.full(mean.size - 3, 1.0 / max(over, 1e-6))])
+        daily = daily * np.concatenate([np.ones(3), np.full(there.size - 3, 1.0 / max(over, 1e-6))])
     # An iron that nobody measured but this baseline takes all its errors with it.
     return usual.baseline.unmeasured * daily if trust is ANOTHER_IRON else daily
+
+
+def _shift(nuisance: str, replay: Replay, baseline: Replay) -> FloatArray | float:
+    """Return by how much a parameter is more here than there, by what both recordings say."""
+    if nuisance == TELEMETRY_AGE:
+        return baseline.late_s - replay.late_s
+    return _field_apart(replay, baseline) if nuisance == WORLD_FIELD.id else 0.0
 
 
 def _waiting_s(replay: Replay) -> float:

@@ -32,6 +32,7 @@ _WITH = {
         "down_m": 1.0,
     },
     "eddy_current": {"x": 0.05, "y": 0.04, "z": 0.06},
+    "accel_bias": {"x": 0.1, "y": -0.05},
 }
 
 
@@ -53,6 +54,8 @@ def flight() -> Replay:
         (("hard_iron", "low_pass"), 0.01),
         (("axis_scale", "clipping"), 0.06),
         (("low_pass", "hard_iron", "clipping"), 0.06),
+        # Of another sensor, behind an age and a mean that are reckoned together.
+        (("hard_iron", "accel_bias"), 0.003),
     ],
 )
 def test_each_derivative_is_the_difference_that_a_small_step_makes(

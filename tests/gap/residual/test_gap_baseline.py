@@ -11,10 +11,18 @@ import numpy as np
 import pytest
 
 from mavcompass.gap.diagnose import diagnose_gap
+from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.replay.nominal import replay
 from mavcompass.gap.replay.rows import reading_times
 from mavcompass.gap.residual.baseline import _waiting_s
-from mavcompass.gap.residual.floor import heading_error_rad, heading_scatter, rms
+from mavcompass.gap.residual.floor import (
+    STATED,
+    first_noise,
+    heading_error_rad,
+    heading_scatter,
+    prior_of,
+    rms,
+)
 from mavcompass.gap.trial.cases import Recipe, make_track
 from mavcompass.gap.trial.vehicles import make_case
 from mavcompass.simulation.effects import parse
@@ -94,3 +102,28 @@ def test_a_heading_scatters_as_readings_do_behind_their_calibration(seed: int) -
         rms(heading_error_rad(here, field + 0.5 * rng.standard_normal(field.shape), field)) for _ in range(20)
     ]
     assert told == pytest.approx(float(np.mean(drawn)), rel=0.03)
+
+
+@pytest.mark.parametrize("about", [[0, 1, 2], [3, 5, 8], list(range(6))])
+def test_what_readings_tell_beside_what_was_known_is_what_a_fit_leaves(about: list[int]) -> None:
+    """Of some parameters, all others integrated out: the marginal of the posterior, without their prior."""
+    seen = replay(make_case(4, "none", baseline=False).track)
+    problem = Problem(seen, first_noise(seen), seen.valid, prior_of(seen, STATED))
+    fit = problem.fit(problem.null(), 50)
+    told, toward = problem.information(fit, about)
+    known = problem.prior.precision[np.ix_(about, about)]
+    covariance = np.linalg.inv(told + known)
+    assert covariance == pytest.approx(fit.covariance[np.ix_(about, about)], rel=1e-3, abs=1e-9)
+    sigma = np.sqrt(np.diag(covariance))
+    values = covariance @ (toward + known @ problem.prior.mean[about])
+    assert ((values - fit.nuisances[about]) / sigma) == pytest.approx(np.zeros(len(about)), abs=0.05)
+
+
+@pytest.mark.parametrize("seed", [947012, 947020, 947026, 947061, 947064])
+def test_a_healthy_vehicle_whose_attitude_somebody_measured_is_silent(seed: int) -> None:
+    """Its sensors are off by what is usual, and readings wait for their messages in another way."""
+    case = make_case(seed, "none")
+    flight, baseline = (
+        replace(one, reference_q=one.truth_q) for one in (case.track, case.baseline) if one is not None
+    )
+    assert diagnose_gap(flight, baseline).verdict == "no_gap"
