@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 # At most so many lines now, and where they should get to. A number here falls with its room; who raises one
 # says why in the commit.
 LINES = {
-    "package gap": (13_554, 10_500),
+    "package gap": (13_549, 10_500),
     "package simulation": (7_920, 5_800),
     "package attitude calibration heading": (9_261, 5_400),
     "package vehicle messages enums.py": (7_733, 5_200),
@@ -18,10 +18,10 @@ LINES = {
     "package service": (5_269, 4_100),
     "package logs": (4_490, 3_600),
     "package cli": (4_008, 2_900),
-    "package": (66_193, 46_500),
+    "package": (66_188, 46_500),
     "tests": (42_281, 29_000),
     "scripts benchmarks/compassbench": (1_555, 1_000),
-    "scripts": (9_787, 4_400),
+    "scripts": (9_777, 4_400),
 }
 
 

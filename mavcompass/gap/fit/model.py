@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mavcompass.chance import chance_of_more
 from mavcompass.frames import FloatArray
@@ -140,7 +141,7 @@ class Problem:
         label = np.tile(np.repeat(block, 3), len(self.groups))
         return cluster_covariance(columns, r, label, self._known(weak_precision(fit.terms)))
 
-    def information(self, fit: Fit, about: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+    def information(self, fit: Fit, about: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
         """Return what the readings alone tell of some nuisances and free parameters (K) of a fit.
 
         As the precision (K, K) of a normal distribution, all others integrated out with what is known of

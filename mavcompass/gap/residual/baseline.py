@@ -15,7 +15,7 @@ import numpy as np
 
 from mavcompass.frames import FloatArray
 from mavcompass.gap.attitude.sensors import north_east_m
-from mavcompass.gap.fit.hypothesis import Fit, weak_precision
+from mavcompass.gap.fit.hypothesis import Fit, Term, weak_precision
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.fit.search import Search
 from mavcompass.gap.replay.noise import Noise, SensorNoise
@@ -193,43 +193,37 @@ def _posterior(replay: Replay, baseline: Replay, problem: Problem, fit: Fit, tru
     # A witness of the yaw is off by the same constant as it was in the baseline.
     witnessed = not (replay.reference.yaw_unknown or baseline.reference.yaw_unknown)
     own, there = prior_of(replay, trust), problem.prior.places
-    source, place = list[int](), list[int]()  # of parameters that are taught: there, and here
-    daily, shift = list[float](), list[float]()
+    prior = own.beside(*map(_folded, fit.terms, fit.thetas))
+    # Of each parameter which one it was there, if any; how much days differ, and how much more it is here.
+    source = np.full(prior.mean.size, -1)
+    daily, shift = np.zeros(prior.mean.size), np.zeros(prior.mean.size)
     for nuisance, at in own.places.items():
         was = there.get(nuisance, slice(0, 0))
-        count = at.stop - at.start
-        if nuisance == REFERENCE_YAW:
-            count = min(int(witnessed), was.stop - was.start)
-        elif nuisance not in kept or count != was.stop - was.start:
+        if nuisance in kept and was.stop - was.start == at.stop - at.start:
+            source[at] = np.arange(was.start, was.stop)
+        elif nuisance == REFERENCE_YAW and witnessed and was.stop > was.start:
+            source[at.start] = was.start
+        else:
             continue
-        source += range(was.start, was.start + count)
-        place += range(at.start, at.start + count)
-        daily += np.broadcast_to(
-            _daily(nuisance, fit.nuisances[was], trust, replay, baseline), at.stop - at.start
-        )[:count].tolist()
-        shift += np.broadcast_to(_shift(nuisance, replay, baseline), at.stop - at.start)[:count].tolist()
-    folded, folded_from, folded_to = list[Prior](), fit.nuisances.size, own.mean.size
-    for term, theta in zip(fit.terms, fit.thetas, strict=True):
-        index = np.flatnonzero(term.free)
-        # What the fit held stays where it is; what it moved is as little known beforehand as it was there.
-        known = (1e-6 * np.maximum(term.effect.scale, 1e-9)) ** -2.0
-        known[index] = weak_precision((term,))
-        folded.append(Prior((term.effect,), np.where(term.free, 0.0, theta), np.diag(known)))
-        source += range(folded_from, folded_from + index.size)
-        place += (folded_to + index).tolist()
-        daily += [0.0] * index.size
-        shift += [0.0] * index.size
-        folded_from += index.size
-        folded_to += theta.size
-    prior = own.beside(*folded)
-    told, toward = problem.information(fit, source)
-    told, toward = told / usual.baseline.widening, toward / usual.baseline.widening
-    over = np.linalg.inv(np.eye(len(place)) + told * np.square(daily))
+        daily[at] = _daily(nuisance, fit.nuisances[was], trust, replay, baseline)
+        shift[at] = _shift(nuisance, replay, baseline)
+    free = np.concatenate([np.zeros(0, dtype=np.bool_), *(term.free for term in fit.terms)])
+    source[own.mean.size :][free] = fit.nuisances.size + np.arange(np.count_nonzero(free))
+    place = np.flatnonzero(source >= 0)
+    told, toward = (x / usual.baseline.widening for x in problem.information(fit, source[place]))
+    over = np.linalg.inv(np.eye(place.size) + told * daily[place] ** 2)
     precision, given = prior.precision.copy(), prior.precision @ prior.mean
     precision[np.ix_(place, place)] += over @ told
-    given[place] += over @ (toward + told @ np.array(shift))
+    given[place] += over @ (toward + told @ shift[place])
     precision = 0.5 * (precision + precision.T)
     return replace(prior, mean=np.asarray(np.linalg.solve(precision, given)), precision=precision)
+
+
+def _folded(term: Term, theta: FloatArray) -> Prior:
+    """Hold what a fit held where it is; what it moved is as little known beforehand as it was there."""
+    precision = (1e-6 * np.maximum(term.effect.scale, 1e-9)) ** -2.0
+    precision[term.free] = weak_precision((term,))
+    return Prior((term.effect,), np.where(term.free, 0.0, theta), np.diag(precision))
 
 
 def _daily(

@@ -110,7 +110,7 @@ def test_what_readings_tell_beside_what_was_known_is_what_a_fit_leaves(about: li
     seen = replay(make_case(4, "none", baseline=False).track)
     problem = Problem(seen, first_noise(seen), seen.valid, prior_of(seen, STATED))
     fit = problem.fit(problem.null(), 50)
-    told, toward = problem.information(fit, about)
+    told, toward = problem.information(fit, np.array(about))
     known = problem.prior.precision[np.ix_(about, about)]
     covariance = np.linalg.inv(told + known)
     assert covariance == pytest.approx(fit.covariance[np.ix_(about, about)], rel=1e-3, abs=1e-9)
