@@ -1,9 +1,14 @@
-"""Text as it may stand on a terminal, in a log and in a report."""
+"""Text as it may stand on a terminal, in a log and in a report, and values as JSON has them."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+import math
+import os
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
+from enum import Enum
+from typing import Any
 
 
 def printable(text: object) -> str:
@@ -28,6 +33,29 @@ def did_you_mean(word: str, known: Collection[str]) -> str:
     """Return a guess at what was meant, with a comma before it, or nothing."""
     close = get_close_matches(word, known, n=1)
     return f", did you mean {close[0]!r}?" if close else ""
+
+
+def plain(value: Any) -> Any:
+    """Return a value as JSON has it; a number that is not finite is None.
+
+    Dataclasses are told by their fields, arrays, tuples and sets as lists, paths as text.
+    """
+    if hasattr(value, "tolist"):  # an array or a scalar of numpy, which is not imported for this
+        value = value.tolist()
+    match value:
+        case Enum():
+            return plain(value.value)
+        case float():
+            return value if math.isfinite(value) else None
+        case Mapping():
+            return {plain(key): plain(item) for key, item in value.items()}
+        case list() | tuple() | set() | frozenset():
+            return [plain(item) for item in value]
+        case os.PathLike():
+            return os.fspath(value)
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    return value
 
 
 def named(names: Sequence[str]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.frames import NO_HEADING_RAD, FloatArray
 from mavcompass.heading.deviation import NO_LOADS, DeviationCard, Loads, deviation_card, heading_change_rad
 from mavcompass.heading.true_north import TrueNorth
+from mavcompass.printable import plain
 
 # A difference of so many sigmas is no chance.
 BEYOND_CHANCE = 3.0
@@ -321,8 +322,8 @@ class CalibrationResult:
             "positions": self.positions,
             "parameters": {name: float(value) for name, value in self.parameters.items()},
         }
-        plain: dict[str, Any] = _plain(said)
-        return plain
+        document: dict[str, Any] = plain(said)
+        return document
 
     def deviation_card(self, headings: int = 8) -> DeviationCard:
         """Draw the deviation card of the correction that was in force, by this calibration."""
@@ -378,19 +379,6 @@ def before_and_after(result: CalibrationResult) -> str:
     old, new = result.heading_change_deg, result.heading_sigma_deg
     told = [f"{value:.{digits}f}" for value, digits in ((old, 1), (new, 2)) if math.isfinite(value)]
     return f"Compass {result.instance}: {' -> '.join(told) or '?'} deg off."
-
-
-def _plain(value: Any) -> Any:
-    """Return a value as JSON has it: dataclasses and mappings by names, arrays as lists, nan as null."""
-    if is_dataclass(value):
-        return {one.name: _plain(getattr(value, one.name)) for one in fields(value)}
-    if isinstance(value, Mapping):
-        return {name: _plain(one) for name, one in value.items()}
-    if isinstance(value, np.ndarray | tuple | list):
-        return [_plain(one) for one in value]
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    return value
 
 
 def surest(results: Sequence[CalibrationResult]) -> CalibrationResult:

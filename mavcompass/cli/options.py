@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import re
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import fields
-from enum import Enum
 from functools import wraps
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -18,7 +16,7 @@ import click
 
 from mavcompass.cli.terminal.lines import wrapped
 from mavcompass.files import write_text
-from mavcompass.printable import did_you_mean, printable
+from mavcompass.printable import did_you_mean, plain, printable
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -90,24 +88,7 @@ class Grouped(click.Command):
 
 def to_json(document: object, indent: int | None = None) -> str:
     """Write plain values, arrays, paths and enums as JSON; a number that is not finite becomes null."""
-    return json.dumps(_plain(document), indent=indent, allow_nan=False)
-
-
-def _plain(value: Any) -> object:
-    if hasattr(value, "tolist"):  # an array or a scalar of numpy, which is not imported for this
-        value = value.tolist()
-    match value:
-        case Enum():
-            return _plain(value.value)
-        case float():
-            return value if math.isfinite(value) else None
-        case Mapping():
-            return {str(_plain(key)): _plain(item) for key, item in value.items()}
-        case list() | tuple() | set() | frozenset():
-            return [_plain(item) for item in value]
-        case os.PathLike():
-            return os.fspath(value)
-    return value
+    return json.dumps(plain(document), indent=indent, allow_nan=False)
 
 
 class Output:

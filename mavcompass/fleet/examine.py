@@ -6,7 +6,7 @@ import json
 import math
 import re
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any, Literal
@@ -15,6 +15,7 @@ import numpy as np
 
 from mavcompass.errors import BadRecording, MavCompassError
 from mavcompass.fleet.recordings import accelerometer_mark
+from mavcompass.printable import plain
 
 if TYPE_CHECKING:
     from mavcompass.calibration.result import CalibrationResult
@@ -116,7 +117,7 @@ def _about(job: Job, path: str, track: Track) -> Row:
         "firmware": next((found[1] for text in track.texts if (found := _FIRMWARE.match(text))), None),
         "events": "; ".join(filter(_EVENT.search, track.texts)) or None,
         "recorded_unix_s": track.utc_offset_s + start if known and track.utc_offset_s is not None else None,
-        "duration_s": _number(track.duration_s),
+        "duration_s": plain(track.duration_s),
         "notes": " ".join(track.notes),
     }
 
@@ -165,12 +166,12 @@ def _calibrated(job: Job, track: Track, instance: int) -> Row:
         "reasons": " ".join(result.reasons),
         "warnings": " ".join(result.warnings),
         "not_observable": ",".join(result.not_observable),
-        "heading_sigma_deg": _number(result.heading_sigma_deg),
-        "heading_change_deg": _number(result.heading_change_deg),
-        "heading_change_max_deg": _number(result.heading_change_max_deg),
-        "residual_rms_mgauss": _number(result.residual_rms_mgauss),
-        "field_horizontal_mgauss": _number(result.horizontal_mgauss),
-        "field_vertical_mgauss": _number(result.vertical_mgauss),
+        "heading_sigma_deg": plain(result.heading_sigma_deg),
+        "heading_change_deg": plain(result.heading_change_deg),
+        "heading_change_max_deg": plain(result.heading_change_max_deg),
+        "residual_rms_mgauss": plain(result.residual_rms_mgauss),
+        "field_horizontal_mgauss": plain(result.horizontal_mgauss),
+        "field_vertical_mgauss": plain(result.vertical_mgauss),
         **_correction(result.correction),
         **_offset_sigmas(result),
     }
@@ -181,7 +182,7 @@ def _correction(correction: FieldCorrection) -> Row:
         _numbers("offset_", "_mgauss", correction.offsets_mgauss)
         | _numbers("diagonal_", "", correction.diagonals)
         | _numbers("off_diagonal_", "", correction.off_diagonals, _PAIRS)
-        | {"scale": _number(correction.scale), "motor_source": correction.motor_source}
+        | {"scale": plain(correction.scale), "motor_source": correction.motor_source}
         | _numbers("motor_", "_mgauss", correction.motors.sum(axis=0))
     )
 
@@ -189,7 +190,7 @@ def _correction(correction: FieldCorrection) -> Row:
 def _offset_sigmas(result: CalibrationResult) -> Row:
     variances = {name: float(result.covariance[i, i]) for i, name in enumerate(result.covariance_names)}
     return {
-        f"offset_{axis}_sigma_mgauss": _number(math.sqrt(variances[f"offset_{axis}"]))
+        f"offset_{axis}_sigma_mgauss": plain(math.sqrt(variances[f"offset_{axis}"]))
         for axis in _AXES
         if variances.get(f"offset_{axis}", -1.0) >= 0.0
     }
@@ -210,10 +211,10 @@ def _diagnosed(job: Job, track: Track, instance: int) -> Row:
         "effects": ",".join(sorted(found.effects)),
         "unknown": found.unknown,
         "unknown_coordinate": found.unknown_coordinate,
-        **{f"effect_{cause.effect}_mgauss": _number(cause.removes_mgauss) for cause in found.causes},
+        **{f"effect_{cause.effect}_mgauss": plain(cause.removes_mgauss) for cause in found.causes},
         **_gap("field", "mgauss", found),
         **_gap("heading", "deg", found),
-        "causes_json": json.dumps(_finite(found.to_json()["causes"]), allow_nan=False),
+        "causes_json": json.dumps(plain(found.to_json()["causes"]), allow_nan=False),
         "iron_json": None
         if iron is None
         else json.dumps(
@@ -239,24 +240,12 @@ def _scatter_mgauss(compass: MagSeries) -> float | None:
 def _gap(name: Literal["field", "heading"], unit: str, found: Diagnosis) -> Row:
     closing = found.field if name == "field" else found.heading
     return {
-        f"{name}_gap_{unit}": _number(closing.nominal),
-        f"{name}_gap_after_{unit}": _number(closing.after),
-        f"{name}_gap_floor_{unit}": _number(closing.floor),
-        f"{name}_gap_shrink": _number(closing.shrink),
+        f"{name}_gap_{unit}": plain(closing.nominal),
+        f"{name}_gap_after_{unit}": plain(closing.after),
+        f"{name}_gap_floor_{unit}": plain(closing.floor),
+        f"{name}_gap_shrink": plain(closing.shrink),
     }
 
 
 def _numbers(before: str, after: str, values: Any, names: tuple[str, ...] = _AXES) -> Row:
-    return {f"{before}{name}{after}": _number(value) for name, value in zip(names, values, strict=True)}
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return _number(value) if isinstance(value, float) else value
+    return {f"{before}{name}{after}": plain(value) for name, value in zip(names, values, strict=True)}

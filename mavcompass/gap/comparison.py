@@ -23,8 +23,9 @@ from mavcompass.gap.export import follows_places, settings_of
 from mavcompass.gap.replay.nominal import Replay, replay
 from mavcompass.gap.replay.rows import shared_period_s
 from mavcompass.gap.residual.floor import heading_error_rad, rms
-from mavcompass.gap.result import Cause, Closing, Diagnosis, plain
+from mavcompass.gap.result import Cause, Closing, Diagnosis
 from mavcompass.gap.tables import usual
+from mavcompass.printable import plain
 from mavcompass.simulation.effects import catalogue, get
 from mavcompass.simulation.effects.effect import Distortion
 from mavcompass.track import Track
@@ -310,7 +311,7 @@ def _achieved(achieved: Achieved) -> dict[str, object]:
         "path": achieved.path,
         "shrink": achieved.shrink,
         "ci95": list(achieved.ci95),
-        "heading_shrink": achieved.heading_shrink if math.isfinite(achieved.heading_shrink) else None,
+        "heading_shrink": plain(achieved.heading_shrink),
         "field_rms_mgauss": {"left": achieved.again.field.nominal, "floor": achieved.again.field.floor},
         "heading_rms_deg": {"left": achieved.again.heading.nominal, "floor": achieved.again.heading.floor},
     }

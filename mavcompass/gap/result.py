@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mavcompass.correction import MotorSource
 from mavcompass.frames import FloatArray
+from mavcompass.printable import plain
 
 Verdict = Literal["no_gap", "named", "ambiguous", "named_with_remainder", "unknown", "not_testable"]
 SCHEMA = "mavcompass.gap/1"
@@ -22,17 +23,6 @@ _AS_THEY_ARE = (
 )  # fmt: skip
 # Where a belief has the field, the matrix, the offset and the motors; and where its effects begin.
 FIELD, MATRIX, OFFSET, MOTOR, EFFECTS = slice(0, 3), slice(3, 12), slice(12, 15), slice(15, 18), 18
-
-
-def plain(value: Any) -> Any:
-    """Return a value as JSON has it: dataclasses by their fields, arrays and tuples as lists."""
-    if dataclasses.is_dataclass(value):
-        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
-    if isinstance(value, Mapping):
-        return {key: plain(one) for key, one in value.items()}
-    if isinstance(value, (tuple, list)):
-        return [plain(one) for one in value]
-    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ import numpy as np
 from mavcompass.calibration.result import CalibrationResult, summary
 from mavcompass.correction import FieldCorrection
 from mavcompass.earth_field import earth_field_of
+from mavcompass.printable import plain
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.report import figures
 from mavcompass.report.svg import write_page
@@ -107,10 +108,10 @@ def _compass(track: Track, result: CalibrationResult) -> dict[str, Any]:
         "warnings": result.warnings,
         "proofs": [] if result.north is None else [said for said, *_ in result.north.proofs(result.instance)],
         "not_observable": result.not_observable,
-        "sigma_deg": _known(result.heading_sigma_deg),
-        "change_deg": _known(result.heading_change_deg),
-        "change_max_deg": _known(result.heading_change_max_deg),
-        "residual_mgauss": _known(result.residual_rms_mgauss),
+        "sigma_deg": plain(result.heading_sigma_deg),
+        "change_deg": plain(result.heading_change_deg),
+        "change_max_deg": plain(result.heading_change_max_deg),
+        "residual_mgauss": plain(result.residual_rms_mgauss),
         "figures": {
             "circle": figures.circle_figure(track, result),
             "raw": figures.raw_figure(track, result),
@@ -124,10 +125,6 @@ def _compass(track: Track, result: CalibrationResult) -> dict[str, Any]:
         "card": _deviation_card(result),
         "parameters": result.parameters,
     }
-
-
-def _known(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _rows(old: FieldCorrection, new: FieldCorrection) -> list[tuple[str, float, float]]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import asdict
 
 from mavcompass.calibration.result import CalibrationResult
+from mavcompass.printable import plain
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.track import Track
 
@@ -64,20 +64,16 @@ def live_document(source: str, report: CalibrationReport, method: str) -> dict[s
     }
     if (heading := report.heading) is not None:
         document["autopilot_heading"] = {
-            "error_before_deg": _number(heading.error_before_deg),
-            "error_after_deg": _number(heading.error_after_deg),
-            "wander_deg": _number(heading.wander_deg),
+            "error_before_deg": plain(heading.error_before_deg),
+            "error_after_deg": plain(heading.error_after_deg),
+            "wander_deg": plain(heading.wander_deg),
             "by": heading.by,
-            "seconds": _number(heading.seconds),
+            "seconds": plain(heading.seconds),
             "right": not heading.is_off if heading.known else None,
         }
     if proof is not None:
         document["proof"] = [asdict(compass) | {"passed": compass.passed} for compass in proof.compasses]
     return document
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _document(

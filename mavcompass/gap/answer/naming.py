@@ -18,10 +18,11 @@ from mavcompass.frames import FloatArray
 from mavcompass.gap.fit.hypothesis import Fit, make_term
 from mavcompass.gap.fit.model import Problem
 from mavcompass.gap.residual.floor import apart
-from mavcompass.gap.result import Cause, Diagnosis, plain
+from mavcompass.gap.result import Cause, Diagnosis
 from mavcompass.gap.selection.identification import Identified
 from mavcompass.gap.selection.split import between_rows
 from mavcompass.gap.tables import usual
+from mavcompass.printable import plain
 from mavcompass.simulation.effects import get
 from mavcompass.simulation.effects.effect import MOMENTS, NEVER_S, Parameter
 

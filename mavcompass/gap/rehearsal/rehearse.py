@@ -21,8 +21,9 @@ from mavcompass.gap.attitude.reference import Choice
 from mavcompass.gap.rehearsal.draws import SOURCES, Draws
 from mavcompass.gap.rehearsal.kind import Kind, Stored, kind_of
 from mavcompass.gap.rehearsal.procedure import USUAL, Protocol, calibrate, heading_errors_deg
-from mavcompass.gap.result import MOTOR, Diagnosis, plain
+from mavcompass.gap.result import MOTOR, Diagnosis
 from mavcompass.gap.tables import usual
+from mavcompass.printable import plain
 from mavcompass.simulation.effects import get
 from mavcompass.simulation.effects.effect import PLACED
 from mavcompass.track import Track

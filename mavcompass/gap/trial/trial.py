@@ -20,7 +20,6 @@ from mavcompass.errors import UsageError
 from mavcompass.frames import FloatArray
 from mavcompass.gap.diagnose import diagnose_gap
 from mavcompass.gap.replay.nominal import replay
-from mavcompass.gap.result import plain
 from mavcompass.gap.trial.cases import (
     SHARES,
     Generator,
@@ -33,6 +32,7 @@ from mavcompass.gap.trial.cases import (
     tracks_of,
 )
 from mavcompass.gap.trial.distance import akin, apart
+from mavcompass.printable import plain
 from mavcompass.simulation.effects import parse
 from mavcompass.simulation.physics.signals import ideal
 from mavcompass.track import Track

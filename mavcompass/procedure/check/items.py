@@ -21,7 +21,7 @@ from mavcompass.gravity import REMEDY, no_gravity
 from mavcompass.heading.fault_isolation import HeadingSource, isolate_faults
 from mavcompass.heading.true_north import TrueNorth
 from mavcompass.kinds import HOVERING
-from mavcompass.printable import counted, named
+from mavcompass.printable import counted, named, plain
 from mavcompass.procedure.turning import strategies_for
 from mavcompass.procedure.vehicle_state import VehicleIdentity
 from mavcompass.steering import PX4_COMPASSES, SteeringSource
@@ -76,8 +76,8 @@ class CheckItem:
             "verdict": self.verdict,
             "text": self.text,
             "remedy": self.remedy,
-            "value": self.value if math.isfinite(self.value) else None,
-            "limit": self.limit if math.isfinite(self.limit) else None,
+            "value": plain(self.value),
+            "limit": plain(self.limit),
         }
 
 

@@ -16,6 +16,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from mavcompass import __version__
 from mavcompass.heading.live import Heading
+from mavcompass.printable import plain
 from mavcompass.service.station import Station
 from mavcompass.service.view import VehicleView
 from mavcompass.service.watch import COURSE_SPEED_MPS, Finding
@@ -84,14 +85,14 @@ def _lesson_json(station: Station, lesson: Lesson) -> dict[str, Any]:
         "compass": result.instance,
         "margin_deg": margin_deg,
         "offered": result in station.learning.offers(),
-        "sigma_deg": _number(result.heading_sigma_deg),
-        "in_force_error_deg": _number(result.heading_change_deg),
+        "sigma_deg": plain(result.heading_sigma_deg),
+        "in_force_error_deg": plain(result.heading_change_deg),
         "not_seen_deg": list(result.not_seen_deg),
         "iron_changed_at": None
         if lesson.changed_at is None
         else lesson.changed_at.isoformat(timespec="seconds"),
         "reasons": list(result.reasons),
-        "parameters": {name: _number(value) for name, value in result.parameters.items()},
+        "parameters": {name: plain(value) for name, value in result.parameters.items()},
     }
 
 
@@ -104,15 +105,15 @@ def finding_json(finding: Finding) -> dict[str, Any]:
         "text": finding.text,
         "remedy": finding.remedy,
         "method": finding.method or None,
-        "value": _number(finding.value),
-        "limit": _number(finding.limit),
+        "value": plain(finding.value),
+        "limit": plain(finding.limit),
     }
 
 
 def _link_json(station: Station) -> dict[str, Any]:
     link, view = station.link, station.view
     counts = LinkStatistics() if link is None else link.statistics
-    silent_s = None if link is None or view is None else _number(link.now() - view.heard_s)
+    silent_s = None if link is None or view is None else plain(link.now() - view.heard_s)
     return {
         "source": station.config.vehicle.source,
         "open": link is not None,
@@ -136,7 +137,7 @@ def _vehicle_json(view: VehicleView) -> dict[str, Any]:
         "kind": view.identity.kind,
         "armed": view.state.armed,
         "mode": view.state.mode,
-        "boot_s": _number(view.boot_s),
+        "boot_s": plain(view.boot_s),
         "compasses": [
             {
                 "instance": instance,
@@ -170,10 +171,6 @@ def _world_json(view: VehicleView) -> dict[str, Any] | None:
         "dip_deg": round(math.degrees(world.inclination_rad), 2),
         "declination_deg": round(math.degrees(world.declination_rad), 2),
     }
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 DEFAULT_HZ, MOST_HZ = 10.0, 20.0

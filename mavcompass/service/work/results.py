@@ -16,7 +16,7 @@ from mavcompass.errors import MavCompassError, UsageError
 from mavcompass.heading.deviation import seen_by_old
 from mavcompass.installation.private_files import private_folder, write_private
 from mavcompass.messages import Incoming
-from mavcompass.printable import counted
+from mavcompass.printable import counted, plain
 from mavcompass.procedure.check import CheckReport
 from mavcompass.procedure.dialect import WriteOutcome
 from mavcompass.procedure.report import CalibrationReport
@@ -239,9 +239,9 @@ def old_and_new(result: CalibrationResult) -> dict[str, Any]:
         "instance": result.instance,
         "accepted": result.accepted,
         "already_right": result.already_right,
-        "before_deg": _known(result.heading_change_deg),
-        "after_deg": _known(result.heading_sigma_deg),
-        "horizontal_mgauss": _known(result.horizontal_mgauss),
+        "before_deg": plain(round(result.heading_change_deg, 3)),
+        "after_deg": plain(round(result.heading_sigma_deg, 3)),
+        "horizontal_mgauss": plain(round(result.horizontal_mgauss, 3)),
         "old_circle": [],
         "old": _correction(result.in_force),
         "new": _correction(result.correction),
@@ -255,10 +255,6 @@ def old_and_new(result: CalibrationResult) -> dict[str, Any]:
             for k in range(0, 72, _CARD_STEP)
         ]
     return document
-
-
-def _known(value: float) -> float | None:
-    return round(value, 3) if math.isfinite(value) else None
 
 
 def _correction(correction: FieldCorrection) -> dict[str, Any]:
