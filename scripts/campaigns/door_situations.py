@@ -18,7 +18,6 @@ from mavcompass.correction import FieldCorrection
 from mavcompass.frames import FloatArray, euler_to_matrix
 from mavcompass.logs import TlogWriter
 from mavcompass.simulation.autopilot.board import Outgoing
-from mavcompass.simulation.physics.sensors import draw_compasses
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.link import LinkStatistics
 from mavcompass.vehicle.links.simulated import SimulatedLink
@@ -117,8 +116,8 @@ class Situation:
 
 def vehicle(kind: str, seed: int, armed: bool, iron: str = "old", **given: Any) -> SimulatedAutopilot:
     """Make a vehicle whose first compass is wrong ("old"), right ("exact"), or was never calibrated."""
-    horizontal = SimulatedAutopilot(kind, seed=seed).world.horizontal_mgauss
-    setups = draw_compasses(seed, horizontal, "exact" if iron == "exact" else "old")
+    like = SimulatedAutopilot(kind, seed=seed, calibration="exact" if iron == "exact" else "old")
+    setups = like.board.compass_setups
     if iron == "never":
         setups = (replace(setups[0], in_force=FieldCorrection()), *setups[1:])
     made = SimulatedAutopilot(kind, seed=seed, armed=armed, compasses=setups, **given)

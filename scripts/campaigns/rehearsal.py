@@ -40,7 +40,6 @@ from mavcompass.logs import read_track
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg, heading_errors_rad
-from mavcompass.simulation.physics.sensors import draw_compasses
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.track import Track
 from mavcompass.vehicle.calibrating import calibrate_on
@@ -108,8 +107,7 @@ def calibrated(
     kind: str, iron: int, seed: int, effects: Sequence[str]
 ) -> tuple[SimulatedAutopilot, CalibrationReport]:
     """Calibrate a vehicle with the compasses of one seed in the circumstances of another."""
-    horizontal_mgauss = SimulatedAutopilot(kind, seed=iron).world.horizontal_mgauss
-    compasses = draw_compasses(iron, horizontal_mgauss, "old")
+    compasses = SimulatedAutopilot(kind, seed=iron).board.compass_setups
     vehicle = SimulatedAutopilot(kind, seed=seed, compasses=compasses, effects=effects)
     with folder() as undo:
         settings = CalibrateSettings(writing="yes")

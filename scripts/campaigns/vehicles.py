@@ -18,11 +18,11 @@ import random
 import statistics
 import sys
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
-from campaign import Several, ended, folder, options, rms, share, tried
+from campaign import Several, borrow, ended, folder, options, rms, share, tried
 
 from mavcompass.calibration.calibrate import calibrate_track
 from mavcompass.calibration.result import CalibrationResult
@@ -32,11 +32,13 @@ from mavcompass.simulation.effects.effect import Distortion, Setting
 from mavcompass.simulation.effects.registry import catalogue
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.profiles import PROFILES
-from mavcompass.simulation.physics.sensors import draw_compasses
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.links.faults import Faults, FaultyLink
 from mavcompass.vehicle.links.simulated import SimulatedLink
+
+borrow("procedure")
+from bent_vehicles import bent_compasses  # noqa: E402
 
 TARGET_DEG = 0.5
 QUALITIES = {
@@ -71,14 +73,9 @@ class Run:
 
 def bent_vehicle(kind: str, seed: int, share: float, effects: int = 0) -> SimulatedAutopilot:
     """Make a vehicle whose first compass is wrong by a share of the horizontal field, and has effects."""
-    horizontal_mgauss = SimulatedAutopilot(kind, seed=seed).world.horizontal_mgauss
-    setups = list(draw_compasses(seed, horizontal_mgauss, "old"))
+    mgauss = share * SimulatedAutopilot(kind, seed=seed).world.horizontal_mgauss
     toward = random.Random(f"bent {seed}").uniform(0.0, 2.0 * math.pi)
-    iron = setups[0].model.iron
-    x, y, z = iron.offsets_mgauss
-    wrong = share * horizontal_mgauss
-    bent = (x + wrong * math.cos(toward), y + wrong * math.sin(toward), z + 20.0)
-    setups[0] = replace(setups[0], in_force=replace(iron, offsets_mgauss=bent))
+    setups = bent_compasses(kind, seed, mgauss, toward, 20.0)
     drawn = drawn_effects(random.Random(f"effects {kind} {seed}"), effects) if effects else ()
     return SimulatedAutopilot(kind, seed=seed, compasses=setups, effects=drawn)
 

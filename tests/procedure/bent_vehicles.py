@@ -14,7 +14,7 @@ from mavcompass.procedure.script import Context, Machine, Script, Show
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.procedure.vehicle_state import VehicleState, find_vehicle
 from mavcompass.simulation.physics.noise import generator
-from mavcompass.simulation.physics.sensors import draw_compasses
+from mavcompass.simulation.physics.sensors import CompassSetup
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.driver import run
@@ -26,17 +26,21 @@ T = TypeVar("T")
 KINDS = ("rover", "ackermann-rover", "boat", "copter", "sub", "px4-copter")
 
 
+def bent_compasses(
+    kind: str, seed: int, mgauss: float, toward_rad: float, down_mgauss: float = 0.0
+) -> list[CompassSetup]:
+    """Return a vehicle's compasses, what is in force for the first wrong by so much."""
+    first, *others = SimulatedAutopilot(kind, seed=seed).board.compass_setups
+    x, y, z = first.model.iron.offsets_mgauss
+    bent = (x + mgauss * math.cos(toward_rad), y + mgauss * math.sin(toward_rad), z + down_mgauss)
+    return [replace(first, in_force=replace(first.model.iron, offsets_mgauss=bent)), *others]
+
+
 def bent_vehicle(kind: str, seed: int, share: float = 1.0) -> SimulatedAutopilot:
     """Make a vehicle whose steering compass is wrong by `share` of the horizontal field."""
-    horizontal_mgauss = SimulatedAutopilot(kind, seed=seed).world.horizontal_mgauss
-    setups = list(draw_compasses(seed, horizontal_mgauss, "old"))
+    mgauss = share * SimulatedAutopilot(kind, seed=seed).world.horizontal_mgauss
     toward = float(generator(seed, "bent").uniform(0.0, 2.0 * math.pi))
-    iron = setups[0].model.iron
-    x, y, z = iron.offsets_mgauss
-    wrong = share * horizontal_mgauss
-    bent = (x + wrong * math.cos(toward), y + wrong * math.sin(toward), z + 20.0)
-    setups[0] = replace(setups[0], in_force=replace(iron, offsets_mgauss=bent))
-    return SimulatedAutopilot(kind, seed=seed, compasses=setups)
+    return SimulatedAutopilot(kind, seed=seed, compasses=bent_compasses(kind, seed, mgauss, toward, 20.0))
 
 
 def untouched(vehicle: SimulatedAutopilot) -> tuple[object, ...]:

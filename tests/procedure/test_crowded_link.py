@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from bent_vehicles import bent_vehicle, calibrated
+from bent_vehicles import calibrated
 
 from mavcompass.cli.calibration import Results, calibrate_all
 from mavcompass.cli.options import Output
@@ -15,7 +15,6 @@ from mavcompass.messages import Message
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.autopilot.board import Outgoing
 from mavcompass.simulation.heading_error import heading_error_rms_deg
-from mavcompass.simulation.physics.sensors import draw_compasses
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.simulated import SimulatedLink
 
@@ -40,11 +39,8 @@ class Crowd:
 
 
 def vehicle(kind: str, system: int) -> SimulatedAutopilot:
-    like = bent_vehicle(kind, seed=system)
-    setups = draw_compasses(system, like.world.horizontal_mgauss, "old")
-    return SimulatedAutopilot(
-        kind, seed=system, system=system, compasses=setups, other_stations=((255, 190), (system, 100))
-    )
+    stations = ((255, 190), (system, 100))
+    return SimulatedAutopilot(kind, seed=system, system=system, other_stations=stations)
 
 
 def test_the_vehicle_that_was_named_is_calibrated_and_the_other_is_left_alone(tmp_path: Path) -> None:

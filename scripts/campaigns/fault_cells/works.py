@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
+
+from campaign import borrow
 
 from fault_cells.scene import Scene, WatchedLink
 from mavcompass.errors import MavCompassError
@@ -20,7 +22,6 @@ from mavcompass.service import station as station_module
 from mavcompass.service.config import ServiceConfig, StorageConfig, VehicleConfig
 from mavcompass.service.work.history import History
 from mavcompass.service.work.tasks import CalibrationRequest, Request, Task, UndoRequest
-from mavcompass.simulation.physics.sensors import draw_compasses
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.calibrating import calibrate_on
 from mavcompass.vehicle.dialects import make_dialect
@@ -28,6 +29,9 @@ from mavcompass.vehicle.driver import run
 from mavcompass.vehicle.parameters.files import write_parameter_file
 from mavcompass.vehicle.parameters.undo import read_kept, undo_saver
 from mavcompass.vehicle.session import WriteReport, compass_part, write_values
+
+borrow("procedure")
+from bent_vehicles import bent_compasses  # noqa: E402
 
 SOURCE = "sim:vehicle"
 AT_ONCE = CalibrateSettings(motion="vehicle", writing="yes")
@@ -71,10 +75,7 @@ class Work:
         """Make the vehicle that it is done to."""
         if not self.on_the_ground:
             return SimulatedAutopilot(self.kind, seed=3)
-        setups = list(draw_compasses(3, SimulatedAutopilot(self.kind, seed=3).world.horizontal_mgauss, "old"))
-        iron = setups[0].model.iron
-        x, y, z = iron.offsets_mgauss
-        setups[0] = replace(setups[0], in_force=replace(iron, offsets_mgauss=(x + IRON_MGAUSS, y, z)))
+        setups = bent_compasses(self.kind, 3, IRON_MGAUSS, 0.0)
         made = SimulatedAutopilot(self.kind, seed=3, compasses=setups, armed=False, ready_s=2.0)
         made.advance(8.0)
         return made

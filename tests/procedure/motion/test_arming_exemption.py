@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from bent_vehicles import calibrated, overheard, perform
+from bent_vehicles import bent_compasses, calibrated, overheard, perform
 
 from mavcompass.errors import Refused
 from mavcompass.messages import ParamSet
@@ -20,7 +20,6 @@ from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.procedure.vehicle_state import VehicleState
 from mavcompass.simulation.heading_error import heading_error_rms_deg
 from mavcompass.simulation.physics.noise import generator
-from mavcompass.simulation.physics.sensors import draw_compasses
 from mavcompass.simulation.px4.flight import Arming
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.dialects import make_dialect
@@ -32,12 +31,8 @@ ALL_BUT_THE_COMPASS = float(sum(1 << bit for bit in range(1, 21)) - 4)
 
 def with_iron(kind: str, seed: int, mgauss: float) -> SimulatedAutopilot:
     """Make a vehicle on the ground whose first compass has iron beside it that nothing in force knows."""
-    world = SimulatedAutopilot(kind, seed=seed).world
-    setups = list(draw_compasses(seed, world.horizontal_mgauss, "old"))
-    iron, toward = setups[0].model.iron, float(generator(seed, "iron").uniform(0.0, 2.0 * math.pi))
-    x, y, z = iron.offsets_mgauss
-    bent = (x + mgauss * math.cos(toward), y + mgauss * math.sin(toward), z)
-    setups[0] = replace(setups[0], in_force=replace(iron, offsets_mgauss=bent))
+    toward = float(generator(seed, "iron").uniform(0.0, 2.0 * math.pi))
+    setups = bent_compasses(kind, seed, mgauss, toward)
     vehicle = SimulatedAutopilot(kind, seed=seed, compasses=setups, armed=False, ready_s=2.0)
     vehicle.advance(8.0)
     return vehicle
