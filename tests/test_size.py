@@ -10,18 +10,18 @@ ROOT = Path(__file__).parents[1]
 # At most so many lines now, and where they should get to. A number here falls with its room; who raises one
 # says why in the commit.
 LINES = {
-    "package gap": (13_549, 10_500),
+    "package gap": (13_542, 10_500),
     "package simulation": (7_920, 5_800),
-    "package attitude calibration heading": (9_261, 5_400),
+    "package attitude calibration heading": (9_249, 5_400),
     "package vehicle messages enums.py": (7_733, 5_200),
     "package procedure": (6_443, 4_400),
-    "package service": (5_269, 4_100),
+    "package service": (5_262, 4_100),
     "package logs": (4_490, 3_600),
-    "package cli": (4_008, 2_900),
-    "package": (66_188, 46_500),
-    "tests": (42_281, 29_000),
+    "package cli": (3_989, 2_900),
+    "package": (66_153, 46_500),
+    "tests": (42_403, 29_000),
     "scripts benchmarks/compassbench": (1_555, 1_000),
-    "scripts": (9_777, 4_400),
+    "scripts": (9_633, 4_400),
 }
 
 

@@ -10,7 +10,6 @@ code 1 if anything broke.
 
 from __future__ import annotations
 
-import random
 import resource
 import subprocess
 import sys
@@ -18,11 +17,10 @@ import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
 from campaign import Several, ended, limit, options
 
 CORPUS = Path(__file__).with_name("fuzz_corpus")
-# What a chance byte hardly makes of a text: numbers beyond any type, brackets beyond any stack.
-WORDS = (b"\0", b"\xff" * 4, b"nan", b"1e30", b"-inf", b"9" * 400, b"null", b"{}", b"[" * 2000, b"\n")
 _START_UP_S = 600.0  # on a busy machine: the time of a share begins after all is loaded and instrumented
 LONGEST_INPUT_S, MOST_MEMORY_MB, MOST_BYTES = 20, 2048, 8192
 NAMES = (
@@ -79,8 +77,7 @@ def fuzz(name: str, seconds: float, seed: int) -> int:
             begun_with = [*seeds(name), *kept(name)]
             for content in begun_with:
                 TARGETS[name](content)  # what is loaded only when it is needed is to guide, too
-        chance = random.Random(seed)
-        begun_with += [mutated(chance.choice(begun_with), chance) for _ in range(50)]
+        begun_with += [mutated(begun_with, seed, number) for number in range(50)]
         for k, content in enumerate(begun_with):
             (Path(work) / f"seed-{k}").write_bytes(content)
         (CORPUS / name).mkdir(parents=True, exist_ok=True)
@@ -98,10 +95,10 @@ def mutate_for(name: str, seconds: float, seed: int) -> int:
 
     resource.setrlimit(resource.RLIMIT_DATA, (MOST_MEMORY_MB * 2**20, MOST_MEMORY_MB * 2**20))
     too_long = TimeoutError(f"an input took more than {LONGEST_INPUT_S} s")
-    chance, corpus, count = random.Random(seed), [*seeds(name), *kept(name)], 0
+    corpus, count = [*seeds(name), *kept(name)], 0
     end_s = time.monotonic() + seconds
     while time.monotonic() < end_s:
-        content, count = mutated(chance.choice(corpus), chance), count + 1
+        content, count = mutated(corpus, seed, count), count + 1
         try:
             with limit(LONGEST_INPUT_S, too_long):
                 TARGETS[name](content)
@@ -113,21 +110,12 @@ def mutate_for(name: str, seconds: float, seed: int) -> int:
     return 0
 
 
-def mutated(content: bytes, chance: random.Random) -> bytes:
-    """Change, cut, double or insert some bytes."""
-    data = bytearray(content)
-    for _ in range(chance.choice((1, 2, 4, 16))):
-        at = chance.randrange(len(data) + 1)
-        match chance.randrange(4):
-            case 0:
-                data[at : at + 1] = chance.randbytes(1)
-            case 1:
-                del data[at : at + chance.randrange(64)]
-            case 2:
-                data[at:at] = data[at : at + chance.randrange(64)]
-            case _:
-                data[at:at] = chance.choice(WORDS)
-    return bytes(data[:MOST_BYTES])
+def mutated(corpus: list[bytes], seed: int, number: int) -> bytes:
+    """Draw a damaged input; the same numbers give the same."""
+    from mutations import mutate  # not before what it imports is instrumented
+
+    chance = np.random.default_rng([seed, number])
+    return mutate(corpus[chance.integers(len(corpus))], chance)[:MOST_BYTES]
 
 
 def kept(name: str) -> list[bytes]:

@@ -16,7 +16,6 @@ from campaign import IN_MEMORY, PROJECT, borrow
 from mavcompass.errors import MavCompassError
 from mavcompass.gap.rehearsal import read_stored
 from mavcompass.gap.result import SCHEMA as DIAGNOSIS_SCHEMA
-from mavcompass.logs import read_track
 from mavcompass.messages import Heartbeat, Incoming, ParamValue, RawImu, Statustext, message_id
 from mavcompass.procedure.modes import ModeKeeper
 from mavcompass.procedure.motion.safety import MotionGuard
@@ -45,6 +44,8 @@ from mavcompass.vehicle.transport import parse_address as parse_source
 from mavcompass.vehicle.wire import FrameParser, decode, encode
 
 borrow("logs")
+from mutations import originals, read_or_refuse  # noqa: E402
+
 Target = Callable[[bytes], object]
 _FOLDER = Path(tempfile.mkdtemp(prefix="fuzz", dir=IN_MEMORY))
 # Frames of these are read by the listeners of a procedure.
@@ -152,11 +153,11 @@ TARGETS: dict[str, Target] = {
     "framing": framing,
     "codec": codec,
     "listeners": listeners,
-    "tlog": _file(".tlog", read_track),
-    "dataflash": _file(".bin", read_track),
-    "dataflash-text": _file(".log", read_track),
-    "ulog": _file(".ulg", read_track),
-    "csv": _file(".csv", read_track),
+    "tlog": _file(".tlog", read_or_refuse),
+    "dataflash": _file(".bin", read_or_refuse),
+    "dataflash-text": _file(".log", read_or_refuse),
+    "ulog": _file(".ulg", read_or_refuse),
+    "csv": _file(".csv", read_or_refuse),
     "param": _file(".param", read_parameter_file),
     "params": _file(".params", read_parameter_file),
     "undo": _file(".json", load_record),
@@ -192,8 +193,6 @@ def seeds(target: str) -> list[bytes]:
         "csv": ".csv",
     }
     if target in recordings or target == "framing":
-        from mutations import originals
-
         contents = originals(_FOLDER / "originals")
         return [contents[recordings.get(target, ".tlog")][:6000]]
     if target == "diagnosis":

@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 from campaign import Several, ended, folder, options
-from hostile_files import Flight, inputs, tlog
+from hostile_files import WRITERS, Flight, inputs
 
 # A command that reads a hostile recording, of three gigabytes or of none: processor time, and memory in all.
 HOSTILE_S, HOSTILE_MB = 10.0, 300.0
@@ -162,7 +162,7 @@ def campaign(share: float, only: str, folder: Path, chosen: Collection[str] | No
     """Try a share of the inputs with the commands that are chosen."""
     load_all()
     good = folder / "good.tlog"
-    good.write_bytes(tlog(Flight()))
+    good.write_bytes(WRITERS[".tlog"](Flight()))
     rng = np.random.default_rng(1)
     outcomes = []
     for number, one in enumerate(inputs()):

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from dataflash_builder import ATT, BAT, GPS, IMU, MAG, MSG, PARM, Log
-from recorded_frames import Recording, parameter, scaled_imu, sys_status
-from ulog_builder import ULogFile
+from dataflash_builder import BAT, GPS, Log
+from recorded_frames import Recording, scaled_imu, sys_status
+from small_flights import WRITERS, Flight
 
 from mavcompass.errors import BadRecording
 from mavcompass.logs import read_track, write_track_csv
@@ -20,47 +21,24 @@ CHECKED = ("RAW_IMU", "ATTITUDE", "PARAM_VALUE", "SYS_STATUS", "SCALED_IMU2", "H
 
 
 def originals(folder: Path) -> dict[str, bytes]:
-    """Make one small recording of each format, in a new folder; return their contents by suffix."""
+    """Make a few seconds of a flight in each format, in a new folder; return their contents by suffix."""
     folder.mkdir(exist_ok=True)
-    recording = Recording()
-    for axis, value in zip("XYZ", (5.0, 13.0, -18.0), strict=True):
-        recording.add(0.0, parameter(f"COMPASS_OFS_{axis}", value, index=1))
-    for n in range(12):
-        part = Recording().fly(
-            1.0, boot_s=20.0 + n, log_s=n, mag=(200 + 9 * n, 50 - 7 * n, -500), version=1 + n % 2
-        )
-        recording.records += part.records
-        recording.add(n + 1.0, sys_status(1000 + n)).add(n + 1.0, scaled_imu(21.0 + n, (210 + n, 3, 4), "2"))
-    recording.write(folder / "original.tlog")
-
-    log = Log(MAG, IMU, ATT, PARM, MSG, GPS, BAT).add("MSG", 0, "ArduRover V4.6.3")
-    for axis in "XYZ":
-        log.add("PARM", 1_000_000, f"COMPASS_OFS_{axis}", 5.0)
-    for n in range(60):
-        now = 1_000_000 + n * 100_000
-        log.add("MAG", now, 0, 200 + n, -n, -500, 5, 5, 5).add("IMU", now, 0, 0.0, 0.0, 0.1, 0.0, 0.0, -9.8)
-        log.add("ATT", now, 0, 0, 0, 0, 0.0, 3.0 * n, 0.0).add("BAT", now, 0, 12.0, 0.1 * n)
-        log.add("GPS", now, 3, 100 * n, 2300, 9, 100, 479_000_000, 80_000_000, 0, 0.0, 0.0, 0.0)
-    log.write(folder / "original.bin")
-
-    lines = ["FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns"]
-    lines += ["FMT, 10, 24, MAG, QBhhhhhh, TimeUS,I,MagX,MagY,MagZ,OfsX,OfsY,OfsZ"]
-    lines += ["FMT, 13, 31, PARM, QNf, TimeUS,Name,Value", "FMT, 21, 76, UNIT, QbZ, TimeUS,Id,Label"]
-    lines += ["UNIT, 0, 71, Gauss"] + [f"PARM, 1000000, COMPASS_OFS_{axis}, 5.0" for axis in "XYZ"]
-    lines += [f"MAG, {1_000_000 + n * 100_000}, 0, {200 + n}, {-n}, -500, 5, 5, 5" for n in range(80)]
-    (folder / "original.log").write_text("\n".join(lines) + "\n")
-
-    ulog = ULogFile().topic("sensor_mag", "uint32_t device_id", "float x", "float y", "float z")
-    ulog.topic("vehicle_attitude", "float[4] q").parameter("CAL_MAG0_ID", 9).parameter("CAL_MAG0_ROT", 0)
-    for n in range(60):
-        ulog.add("sensor_mag", 1_000_000 + n * 20_000, 9, 0.2, 0.01 * n, -0.5)
-        ulog.add("vehicle_attitude", 1_000_000 + n * 20_000, 1.0, 0.0, 0.0, 0.0)
-    ulog.write(folder / "original.ulg")
-
+    whole = Flight()
+    flight = replace(whole, time_s=whole.time_s[:60])
+    contents = {suffix: write(flight) for suffix, write in WRITERS.items()}
+    beside, log = Recording(), Log(GPS, BAT)
+    for n in range(6):
+        beside.add(7.0 + n, sys_status(1000 + n), version=1 + n % 2)
+        beside.add(7.0 + n, scaled_imu(26.0 + n, (210 + n, 3, 4), "2"), version=1 + n % 2)
+        now = 20_000_000 + n * 1_000_000
+        log.add("BAT", now, 0, 12.0, 0.1 * n)
+        log.add("GPS", now, 3, 1000 * n, 2300, 9, 100, 479_000_000, 80_000_000, 0, 0.0, 0.0, 0.0)
+    contents[".tlog"] += beside.content
+    contents[".bin"] += log.content
+    contents[".log"] += b"FMT, 21, 76, UNIT, QbZ, TimeUS,Id,Label\nUNIT, 0, 71, Gauss\n"
+    (folder / "original.tlog").write_bytes(contents[".tlog"])
     write_track_csv(read_track(folder / "original.tlog"), folder / "original.csv")
-    text = "\n".join((folder / "original.csv").read_text().splitlines()[:120]) + "\n"
-    (folder / "original.csv").write_text(text)
-    return {path.suffix: path.read_bytes() for path in sorted(folder.glob("original.*"))}
+    return contents | {".csv": (folder / "original.csv").read_bytes()}
 
 
 def flip_bits(content: bytes, rng: np.random.Generator) -> bytes:
@@ -94,7 +72,19 @@ def splice(content: bytes, rng: np.random.Generator) -> bytes:
     return content[:place] + piece + content[place:]
 
 
-MUTATIONS: tuple[Callable[[bytes, np.random.Generator], bytes], ...] = (flip_bits, overwrite, cut, splice)
+# What a chance byte hardly makes of a text: numbers beyond any type, brackets beyond any stack.
+WORDS = (b"\0", b"\xff" * 4, b"nan", b"1e30", b"-inf", b"9" * 400, b"null", b"{}", b"[" * 2000, b"\n")
+
+
+def spell(content: bytes, rng: np.random.Generator) -> bytes:
+    """Put one of `WORDS` anywhere."""
+    place = int(rng.integers(0, len(content) + 1))
+    return content[:place] + WORDS[int(rng.integers(len(WORDS)))] + content[place:]
+
+
+MUTATIONS: tuple[Callable[[bytes, np.random.Generator], bytes], ...] = (
+    flip_bits, overwrite, cut, splice, spell
+)  # fmt: skip
 
 
 def mutate(content: bytes, rng: np.random.Generator) -> bytes:

@@ -99,7 +99,7 @@ def test_columns_and_lines_without_end_are_refused(
     tmp_path: Path, files: ModuleType, kind: str, said: str
 ) -> None:
     path = tmp_path / "a.csv"
-    path.write_bytes(dict(files._of_csv(files.table(files.Flight())))[kind]())
+    path.write_bytes(dict(files._of_csv(files.WRITERS[".csv"](files.Flight())))[kind]())
     with pytest.raises(BadRecording, match=said):
         read_track(path)
 
