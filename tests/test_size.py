@@ -19,9 +19,9 @@ LINES = {
     "package logs": (4_490, 3_600),
     "package cli": (3_989, 2_900),
     "package": (66_153, 46_500),
-    "tests": (42_403, 29_000),
+    "tests": (42_419, 29_000),
     "scripts benchmarks/compassbench": (1_555, 1_000),
-    "scripts": (9_633, 4_400),
+    "scripts": (9_533, 4_400),
 }
 
 

@@ -8,7 +8,9 @@ time: each message sent or heard, each file opened, written, flushed or renamed,
 runs the procedure anew and lets one fault happen at one step. Cells are drawn evenly over procedures, faults
 and kinds of steps. Afterwards the vehicle must hold the old set or the new one, or there are an undo file
 and the sentence that restores it, which is then followed; it stands within a second; nothing went on for too
-long; nothing but the product's own errors was raised or logged. Half of the procedures that were killed, or
+long; nothing but the product's own errors was raised or logged. Where somebody steps in (a stick, the mode
+switch, disarming, a low battery, a stop) a calibration also commands nothing a second later, mode and message
+rates are what they were, and it is told as a refusal. Half of the procedures that were killed, or
 whose link was closed, are started again first and must come to an end of their own. `--processes` has real
 programs killed by the system. Exit code 1 if any cell fails, 130 if Ctrl-C or SIGTERM ended it early.
 """
@@ -38,6 +40,7 @@ from fault_cells.works import WORKS, Ending, Work
 from mavcompass.errors import MavCompassError
 from mavcompass.vehicle import driver
 from mavcompass.vehicle.parameters.values import same_value
+from mavcompass.vehicle.stopping import StopRequest
 
 LONGEST_CPU_S = 60.0
 TOO_LONG = Hung(f"still going on after {LONGEST_CPU_S:.0f} s of work")
@@ -84,6 +87,7 @@ def new_scene(work: Work, place: Path) -> Scene:
     work.prepare(scene)
     scene.told.clear()
     scene.before = scene.compass_values()
+    scene.mode, scene.rates = scene.mode_and_rates()
     return scene
 
 
@@ -113,6 +117,7 @@ def run_cell(cell: Cell, traced: Trace) -> Outcome:
         ending = attempt(cell.work, scene)
         ended_s, scene.active, scene.dead = scene.vehicle.time_s, False, False
         scene.disk_error, scene.limit_s, scene.silent_until_s = 0, float("inf"), -float("inf")
+        scene.stop = StopRequest()
         if scene.count < cell.number:
             return Outcome(cell, ["the step never came"], "", scene)
         told = "killed" if isinstance(ending.error, Killed) else str(ending.error or "done")

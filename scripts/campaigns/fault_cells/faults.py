@@ -143,6 +143,25 @@ def second_client(scene: Scene) -> None:
         scene.at(scene.vehicle.time_s + 0.4 * (k + 1), write)
 
 
+def moves_stick(scene: Scene) -> None:
+    """Have the pilot move the stick that turns this vehicle."""
+    scene.vehicle.pilot_moves_stick(4 if scene.vehicle.profile.hovers else 1)
+
+
+# A mode to which a pilot switches.
+_OTHER_MODE = {"rover": "HOLD", "copter": "LOITER", "sub": "POSHOLD", "px4": "POSCTL"}
+
+
+def switches_mode(scene: Scene) -> None:
+    """Have the pilot switch the mode."""
+    scene.vehicle.pilot_switches_mode(_OTHER_MODE[scene.vehicle.profile.firmware])
+
+
+def stops(scene: Scene) -> None:
+    """Have the system ask the program to end."""
+    scene.stop.reason = "Stopped by the system (SIGTERM)."
+
+
 FAULTS = (
     Fault("lost", carry=lambda scene, carried: []),
     Fault("late", carry=late),
@@ -164,7 +183,11 @@ FAULTS = (
     Fault("clock back", sets(clock_off_s=-_DAY_S)),  # undo files must keep their order
     Fault("clock forward", sets(clock_off_s=30 * 365.25 * _DAY_S)),
     Fault("second client", second_client),
-    Fault("low battery", lambda scene: scene.vehicle.battery_failsafe(), ends_it=True),
+    Fault("low battery", lambda scene: scene.vehicle.battery_failsafe(), ends_it=True, steps_in=True),
+    Fault("stick", moves_stick, ends_it=True, steps_in=True),
+    Fault("mode", switches_mode, ends_it=True, steps_in=True),
+    Fault("disarmed", lambda scene: scene.vehicle.disarm(), ends_it=True, steps_in=True),
+    Fault("stopped", stops, ends_it=True, steps_in=True),
 )
 
 

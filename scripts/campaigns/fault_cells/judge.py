@@ -9,12 +9,13 @@ from pathlib import Path
 
 from fault_cells.scene import Hung, Killed, Scene
 from fault_cells.works import Ending, Work, write_file
-from mavcompass.errors import MavCompassError, UsageError
+from mavcompass.errors import MavCompassError, Refused, UsageError
 from mavcompass.vehicle.parameters.undo import UndoRecord, load_record
 from mavcompass.vehicle.parameters.values import same_value
 
 STANDS_WITHIN_S = 1.0
 _LOOKS_ON_S = 3.0
+CALIBRATIONS = ("calibrate", "round")
 _COMMAND = re.compile(r"(\S+) params restore (\S+) (\S+\.json)")
 # What these change after the last reading, no program can know.
 UNSEEN = ("second client", "rebooted, old")
@@ -30,19 +31,41 @@ def judge_end(scene: Scene, work: Work, ending: Ending, ended_s: float, known: f
         wrong.append(f"traceback: {type(error).__name__}: {error}")
     elif isinstance(error, MavCompassError) and re.match(r"\w+Error: ", error.what):
         wrong.append(f"traceback, told as {error.what}")
-    return wrong + _what_was_told(scene, ending, known) + _motion(scene, work, ended_s)
+    stepped_in = scene.fault is not None and scene.fault.steps_in
+    # What is over before it turns, or is no reason to stop, need not end it.
+    goes_on = work.goes_on or (stepped_in and error is None and not scene.began)
+    wrong += _what_was_told(scene, ending, known) + _motion(scene, work, ended_s, goes_on)
+    if stepped_in and work.name in CALIBRATIONS:
+        wrong += _stepped_in(scene, error)
+    return wrong
 
 
-def _motion(scene: Scene, work: Work, ended_s: float) -> list[str]:
+def _motion(scene: Scene, work: Work, ended_s: float, goes_on: bool) -> list[str]:
     """Look on for a while: the vehicle stands, and did so in time."""
     scene.look_on(_LOOKS_ON_S)
     longer_s = scene.turning_s - ended_s
     if scene.fault is not None and scene.fault.ends_it:
         # The service goes on after a fault, and may turn the vehicle again when it is asked to.
-        last_s = scene.stood_s if work.goes_on else scene.turning_s
+        last_s = scene.stood_s if goes_on else scene.turning_s
         longer_s = max(longer_s, last_s - scene.at_s)
     late = work.moves and longer_s > STANDS_WITHIN_S + work.flies_on_s
     return [f"turned {longer_s:.2f} s longer"] if late else []
+
+
+def _stepped_in(scene: Scene, error: BaseException | None) -> list[str]:
+    """Judge a calibration that somebody ended: no order after it, all put back, told as a refusal.
+
+    One that ends as if nothing had happened is right where it commands no motion any more.
+    """
+    mode, rates = scene.mode_and_rates()
+    wrong = {
+        "commanded motion more than a second after": scene.began
+        and scene.commanded_s > scene.at_s + STANDS_WITHIN_S,
+        "left another mode": mode != scene.mode,
+        "left other rates": rates != scene.rates,
+        f"ended with {error!r}": error is not None and not isinstance(error, Refused),
+    }
+    return [sentence for sentence, is_so in wrong.items() if is_so]
 
 
 def _what_was_told(scene: Scene, ending: Ending, known: frozenset[Path]) -> list[str]:

@@ -31,6 +31,7 @@ from mavcompass.procedure.script import Show
 from mavcompass.simulation.autopilot.guidance import TARGET_TIMEOUT_S
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.simulated import SimulatedLink
+from mavcompass.vehicle.stopping import StopRequest
 
 StepKind = Literal["send", "hear", "file", "state"]
 # What a calibration changes, and what it holds at another value meanwhile.
@@ -71,12 +72,14 @@ class Fault:
 
     Attributes:
         ends_it: whoever commands motion is gone, or has to end it, from the step on.
+        steps_in: somebody does so who is there: a calibration ends as a refusal, all put back.
     """
 
     name: str
     happen: Callable[[Scene], None] | None = None
     carry: Callable[[Scene, Carried], list[Carried] | None] | None = None
     ends_it: bool = False
+    steps_in: bool = False
 
 
 @dataclass
@@ -88,6 +91,9 @@ class Scene:
         count, steps: steps so far; while nothing is to happen (`target` 0) they are kept.
         told: every sentence for the person. at_s: when the fault happened, on the link's clock.
         limit_s: virtual time at which a run counts as hung.
+        stop: the person's or the system's wish that it ends.
+        mode, rates: what the vehicle is to be left with; the fault may change the mode.
+        began: whether motion had been commanded when the fault happened.
         before: the compass parameters at the start. touched: those that the undisturbed run wrote.
         foreign, foreign_s: what somebody else wrote, and when last. read_s: when each was read last.
         tracebacks: those in the log, and those that nobody could catch.
@@ -105,6 +111,10 @@ class Scene:
     target: int = 0
     limit_s: float = math.inf
     active: bool = False
+    stop: StopRequest = field(default_factory=StopRequest)
+    mode: int = -1
+    began: bool = False
+    rates: dict[int, int] = field(default_factory=dict)
     count: int = 0
     steps: list[Step] = field(default_factory=list)
     told: list[str] = field(default_factory=list)
@@ -147,6 +157,12 @@ class Scene:
             while link.now() < end_s:
                 link.receive(end_s - link.now())
 
+    def mode_and_rates(self) -> tuple[int, dict[int, int]]:
+        """Read the truth: the mode that the vehicle is in, and the rates of its messages."""
+        streams = self.vehicle.firmware.telemetry.streams(0)
+        rates = {number: streams.interval_us(number) for number in self.vehicle.firmware.telemetry.available}
+        return self.vehicle.firmware.reports.heartbeat().custom_mode, rates
+
     def compass_values(self) -> dict[str, float]:
         """Read the truth: what the vehicle's storage holds about its compasses."""
         held = self.vehicle.firmware.store.values
@@ -168,9 +184,12 @@ class Scene:
             self.steps.append(Step(kind, what))
         if self.count != self.target or self.fault is None:
             return False
-        self.at_s = self.vehicle.time_s
+        self.at_s, self.began = self.vehicle.time_s, self.commanded_s > -math.inf
         if self.fault.happen is not None:
+            was, _ = self.mode_and_rates()
             self.fault.happen(self)
+            now, _ = self.mode_and_rates()
+            self.mode = now if now != was else self.mode  # what the fault changed is not ours to put back
             if self.dead:
                 raise Killed
         return True

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -35,6 +36,7 @@ from bent_vehicles import bent_compasses  # noqa: E402
 
 SOURCE = "sim:vehicle"
 AT_ONCE = CalibrateSettings(motion="vehicle", writing="yes")
+ROUND = replace(AT_ONCE, continuous=True)
 IRON_MGAUSS = 300.0
 NOW = "2026-05-01T00:00:00+00:00"
 
@@ -58,7 +60,7 @@ class Work:
     Attributes:
         on_the_ground: it begins disarmed, with iron beside its compass for which it would not arm.
         share: of the cells, in proportion. moves: it turns the vehicle. goes_on: after a fault, by itself.
-        flies_on_s: so long the autopilot follows a target whose successor never came.
+        flies_on_s: so long the autopilot follows a target whose successor never came, or it runs on.
     """
 
     name: str
@@ -91,7 +93,9 @@ def arm(scene: Scene) -> bool:
 def calibrate(scene: Scene, settings: CalibrateSettings = AT_ONCE) -> bool:
     """Calibrate, and write without asking."""
     with scene.link() as link:
-        report = calibrate_on(link, SOURCE, settings, on_show=scene.show, undo_directory=scene.undo_folder)
+        report = calibrate_on(
+            link, SOURCE, settings, on_show=scene.show, stop=scene.stop, undo_directory=scene.undo_folder
+        )
     scene.told += report.messages
     return report.written and not report.undone
 
@@ -100,7 +104,7 @@ def check(scene: Scene) -> bool:
     """Check before a flight, with a turn."""
     machine = Machine(lambda context: check_script(context, make_dialect, CheckSettings(turn="vehicle")))
     with scene.link() as link:
-        scene.told.append(run(machine, link, on_show=scene.show).summary())
+        scene.told.append(run(machine, link, on_show=scene.show, stop=scene.stop).summary())
     return False
 
 
@@ -128,7 +132,7 @@ def write_file(scene: Scene, path: Path, checked: bool) -> bool:
         )
     )
     with scene.link() as link:
-        report = run(machine, link, on_show=scene.show)
+        report = run(machine, link, on_show=scene.show, stop=scene.stop)
     return report.outcome is not None and report.outcome.verified
 
 
@@ -166,6 +170,10 @@ def first_undo(scene: Scene) -> Path:
 
 WORKS = (
     Work("calibrate", "rover", calibrate, share=0.8, moves=True),
+    Work("round", "rover", partial(calibrate, settings=ROUND), share=0.2, moves=True, flies_on_s=0.3),
+    Work("calibrate", "ackermann-rover", calibrate, share=0.05, moves=True, flies_on_s=2.3),  # a target lasts
+    Work("calibrate", "boat", calibrate, share=0.05, moves=True, flies_on_s=1.5),  # on the water
+    Work("calibrate", "sub", calibrate, share=0.05, moves=True),
     Work("calibrate", "copter", calibrate, share=0.05, moves=True),
     Work("calibrate", "px4-copter", calibrate, share=0.01, moves=True, flies_on_s=1.0),  # COM_OF_LOSS_T
     Work("arm", "rover", arm, share=0.3, moves=True, flies_on_s=3.0, on_the_ground=True),  # a target lasts
@@ -213,6 +221,7 @@ def _serve(scene: Scene, request: Callable[[], Request]) -> bool:
                 hear(link, heard)
                 if not tasks and station.view is not None and station.view.fresh:
                     tasks.append(station.desk.submit(request(), "http", NOW))
+                    tasks[0].stop = scene.stop
                 if (tasks and tasks[0].finished) or (not tasks and link.now() > deadline_s):
                     station._ending.reason = "done"
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
+from typing import Any
 
 import pytest
 from bent_vehicles import calibrated
@@ -62,14 +62,13 @@ def test_what_drives_arcs_is_told_to_stop_at_each_position(tmp_path: Path) -> No
     assert strategies_for("rover", "ardupilot", ackermann=True, continuous=True) == ()
 
 
-@pytest.mark.parametrize("event", ["stick", "mode", "signal", "silence"])
+@pytest.mark.parametrize("event", ["stick", "mode", "stopped", "silent 15 s"])
 def test_whoever_steps_in_ends_the_turn_as_any_other(
-    campaigns: Callable[[str], ModuleType], event: str
+    interrupted: Callable[[str, str, str, int], Any], event: str
 ) -> None:
-    interruptions = campaigns("interruptions")
     for seed in (3000, 3001):
-        outcome = interruptions.interrupt("rover", event, seed, 12.0, CONTINUOUS)
-        assert outcome is None or not outcome.wrong, (outcome.seed, outcome.at_s, outcome.told)
+        outcome = interrupted("round", "rover", event, seed)
+        assert not outcome.wrong, (str(outcome.cell), outcome.told)
 
 
 def stand(rates_deg_s: list[float], until_s: float = 8.0) -> Window:
