@@ -6,10 +6,12 @@ import logging
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
 
 from mavcompass.calibration.result import CalibrationResult
+from mavcompass.compass_parameters import is_calibrated
 from mavcompass.errors import MavCompassError, Refused
 from mavcompass.messages import Incoming
 from mavcompass.procedure.check import CheckReport, CheckSettings, check
@@ -27,7 +29,6 @@ from mavcompass.service.work.history import Entry, History
 from mavcompass.service.work.learning import Learning
 from mavcompass.service.work.north import NorthKeeper
 from mavcompass.service.work.results import Recorder, Results, old_and_new, recording_path, sigma_deg
-from mavcompass.service.work.staleness import stale_findings
 from mavcompass.service.work.tasks import (
     LEARNT,
     CalibrationRequest,
@@ -49,6 +50,8 @@ from mavcompass.vehicle.session import HeldParameters, WriteReport, write_values
 from mavcompass.vehicle.stopping import StopRequest
 
 _log = logging.getLogger(__name__)
+# Parameters travel as 32 bit floats: what differs by no more is the same.
+_SAME_SHARE = 1e-3
 
 
 class Jobs:
@@ -260,6 +263,47 @@ def _was_written(record: UndoRecord, now: Mapping[str, float]) -> bool:
     return bool(changed) and all(
         name in record.planned and same_value(now[name], record.planned[name]) for name in changed
     )
+
+
+def stale_findings(
+    instance: int,
+    dialect: Dialect,
+    parameters: Mapping[str, float],
+    last: Entry | None,
+    now: datetime,
+    age_days: float,
+) -> list[Finding]:
+    """List why the calibration in force on one compass is not, or no longer, what was calibrated."""
+    i, findings = instance, list[Finding]()
+    if not is_calibrated(dialect.autopilot, parameters, i, dialect.correction(parameters, i)):
+        text = f"The autopilot holds no calibration of compass {i}."
+        findings.append(
+            Finding("uncalibrated", i, "bad", f"Compass {i} is not calibrated", text, "Calibrate it.")
+        )
+    if last is None:
+        return findings
+    days = (now - datetime.fromisoformat(last.made_at)).total_seconds() / 86400.0
+    if days > age_days:
+        short = f"Compass {i}: calibrated {days:.0f} days ago"
+        text = f"The calibration of compass {i} is {days:.0f} days old."
+        findings.append(Finding("age", i, "warning", short, text, "Calibrate it again.", days, age_days))
+    if changed := _changed(last, parameters, i):
+        differ = "differs" if len(changed) == 1 else "differ"
+        text = f"{', '.join(changed)} of compass {i} {differ} from what was calibrated {last.made_at[:10]}."
+        remedy = "If that was not on purpose, put the calibration back or calibrate again."
+        short = f"Compass {i}: calibration was changed"
+        findings.append(Finding("parameters", i, "warning", short, text, remedy))
+    return findings
+
+
+def _changed(last: Entry, parameters: Mapping[str, float], instance: int) -> list[str]:
+    """List the parameters that no longer hold what the last calibration left."""
+    left: Mapping[str, float] = last.document.get("in_force", {}).get(str(instance), {})
+    return [
+        name
+        for name, value in left.items()
+        if name in parameters and abs(parameters[name] - value) > _SAME_SHARE * max(1.0, abs(value))
+    ]
 
 
 class Gaps:
