@@ -15,13 +15,13 @@ LINES = {
     "package attitude calibration heading": (9_249, 5_400),
     "package vehicle messages enums.py": (7_733, 5_200),
     "package procedure": (6_443, 4_400),
-    "package service": (5_262, 4_100),
+    "package service": (5_252, 4_100),
     "package logs": (4_490, 3_600),
     "package cli": (3_989, 2_900),
-    "package": (66_153, 46_500),
-    "tests": (42_419, 29_000),
+    "package": (66_143, 46_500),
+    "tests": (42_394, 29_000),
     "scripts benchmarks/compassbench": (1_555, 1_000),
-    "scripts": (9_533, 4_400),
+    "scripts": (9_546, 4_400),
 }
 
 

@@ -11,9 +11,8 @@ from typing import Any
 import pytest
 from bent_vehicles import calibrated, perform
 
-from mavcompass.enums import MavCmd
-from mavcompass.errors import PoorCalibration, Refused, WriteFailed
-from mavcompass.messages import CommandLong, Message
+from mavcompass.errors import PoorCalibration, WriteFailed
+from mavcompass.messages import Message
 from mavcompass.procedure.dialect import Overrides
 from mavcompass.procedure.script import Context, Script, nothing
 from mavcompass.procedure.vehicle_state import VehicleState
@@ -21,12 +20,11 @@ from mavcompass.simulation.autopilot.board import Outgoing
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.dialects import make_dialect
 from mavcompass.vehicle.parameters.undo import load_record, undo_saver
-from mavcompass.vehicle.stopping import StopRequest
 
 EVENTS = (
     "stick", "mode", "disarmed", "low battery", "stopped", "silent 15 s", "link closed", "silent 2 s"
 )  # fmt: skip
-Interrupt = Callable[[str, str, str, int], Any]
+Interrupt = Callable[..., Any]
 # How what ends it is told to the person, and what comes of it; one that ends it before it turns is refused.
 STOPS = r"It (no longer turns; it is (dis)?armed|is still turning, by \d+ deg/s, armed: keep clear)\."
 TOLD = {
@@ -75,51 +73,21 @@ class DeadAfterTheWrite(SimulatedAutopilot):
         return said if self.time_s < self.changed_s + 1.0 else []
 
 
-class StoppedAtTheTakeOver(SimulatedAutopilot):
-    """Be stopped when the autopilot is first asked to take its compass's yaw over after the write."""
-
-    stop: StopRequest
-    was: dict[str, float]
-    with_sources_off = False
-
-    def receive(self, message: Message, system: int, component: int, port: int = 0) -> None:
-        if isinstance(message, CommandLong) and message.command == MavCmd.SET_EKF_SOURCE_SET:
-            if compass_values(self) != self.was and (message.param1 == 1.0) is self.with_sources_off:
-                self.stop.reason = "Somebody stops it."
-                return
-        super().receive(message, system, component, port)
-
-
-class DeadAtTheTakeOver(StoppedAtTheTakeOver):
-    """Say nothing any more, from when the source of yaw was to be put back."""
-
-    with_sources_off = True
-
-    def advance(self, until_s: float) -> Sequence[Outgoing]:
-        said = super().advance(until_s)
-        return [] if self.stop.reason is not None else said
-
-
 def compass_values(vehicle: SimulatedAutopilot) -> dict[str, float]:
     return {name: v for name, v in vehicle.firmware.store.values.items() if name.startswith("COMPASS_")}
 
 
-def test_a_stop_between_the_write_and_the_proof_puts_the_old_values_back(tmp_path: Path) -> None:
-    vehicle = StoppedAtTheTakeOver("rover", seed=1001)
-    vehicle.stop, vehicle.was = StopRequest(), compass_values(vehicle)
-    shown: list[str] = []
-    with pytest.raises(Refused, match="Somebody stops it"):
-        calibrated(vehicle, tmp_path, shown=shown, stop=vehicle.stop)
-    assert any(text.startswith("Writing ") for text in shown)
-    assert compass_values(vehicle) == vehicle.was
+def test_a_stop_between_the_write_and_the_proof_puts_the_old_values_back(interrupted: Interrupt) -> None:
+    outcome = interrupted("calibrate", "rover", "stopped", command=1)
+    assert not outcome.wrong and outcome.told.startswith("Stopped by the system")
+    assert any(text.startswith("Writing ") for text in outcome.scene.told)
 
 
-def test_a_link_that_dies_between_the_write_and_the_proof_is_told_with_the_way_back(tmp_path: Path) -> None:
-    vehicle = DeadAtTheTakeOver("rover", seed=1001)
-    vehicle.stop, vehicle.was = StopRequest(), compass_values(vehicle)
-    with pytest.raises(WriteFailed) as told:
-        calibrated(vehicle, tmp_path, stop=vehicle.stop)
-    assert told.value.undo_file and "params restore" in (told.value.restore_command or "")
+def test_a_link_that_dies_between_the_write_and_the_proof_is_told_with_the_way_back(
+    interrupted: Interrupt,
+) -> None:
+    outcome = interrupted("calibrate", "rover", "silent 15 s", command=2)
+    assert not outcome.wrong and "params restore" in outcome.told
 
 
 @pytest.mark.parametrize("kind", ["rover", "copter"])

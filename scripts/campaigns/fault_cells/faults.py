@@ -157,6 +157,15 @@ def switches_mode(scene: Scene) -> None:
     scene.vehicle.pilot_switches_mode(_OTHER_MODE[scene.vehicle.profile.firmware])
 
 
+def disarms(scene: Scene) -> None:
+    """Have the pilot disarm it; PX4 stores by itself then what it has learnt of its compass."""
+    before = scene.compass_values()
+    scene.vehicle.disarm()
+    learnt = {name: value for name, value in scene.compass_values().items() if before[name] != value}
+    scene.foreign |= learnt
+    scene.foreign_s = scene.vehicle.time_s
+
+
 def stops(scene: Scene) -> None:
     """Have the system ask the program to end."""
     scene.stop.reason = "Stopped by the system (SIGTERM)."
@@ -186,7 +195,7 @@ FAULTS = (
     Fault("low battery", lambda scene: scene.vehicle.battery_failsafe(), ends_it=True, steps_in=True),
     Fault("stick", moves_stick, ends_it=True, steps_in=True),
     Fault("mode", switches_mode, ends_it=True, steps_in=True),
-    Fault("disarmed", lambda scene: scene.vehicle.disarm(), ends_it=True, steps_in=True),
+    Fault("disarmed", disarms, ends_it=True, steps_in=True),
     Fault("stopped", stops, ends_it=True, steps_in=True),
 )
 

@@ -18,7 +18,7 @@ _LOOKS_ON_S = 3.0
 CALIBRATIONS = ("calibrate", "round")
 _COMMAND = re.compile(r"(\S+) params restore (\S+) (\S+\.json)")
 # What these change after the last reading, no program can know.
-UNSEEN = ("second client", "rebooted, old")
+UNSEEN = ("second client", "rebooted, old", "disarmed")
 
 
 def judge_end(scene: Scene, work: Work, ending: Ending, ended_s: float, known: frozenset[Path]) -> list[str]:
@@ -58,7 +58,11 @@ def _stepped_in(scene: Scene, error: BaseException | None) -> list[str]:
     One that ends as if nothing had happened is right where it commands no motion any more.
     """
     mode, rates = scene.mode_and_rates()
+    now = scene.compass_values()
+    new = scene.wrote & now.keys() - scene.foreign.keys()
+    left = sorted(name for name in new if not same_value(now[name], scene.before[name]))
     wrong = {
+        f"left {', '.join(left)} written": bool(left and error),
         "commanded motion more than a second after": scene.began
         and scene.commanded_s > scene.at_s + STANDS_WITHIN_S,
         "left another mode": mode != scene.mode,
