@@ -28,6 +28,11 @@ def wrap_pi(angle_rad: ArrayLike) -> Any:
     return (np.asarray(angle_rad, dtype=np.float64) + math.pi) % (2.0 * math.pi) - math.pi
 
 
+def wrap_angle(angle_rad: float) -> float:
+    """Bring one angle into [-pi, pi), without the cost of an array."""
+    return (angle_rad + math.pi) % (2.0 * math.pi) - math.pi
+
+
 def wrap_two_pi(angle_rad: ArrayLike) -> Any:
     """Bring angles into [0, 2 pi)."""
     wrapped = np.asarray(angle_rad, dtype=np.float64) % (2.0 * math.pi)

@@ -15,7 +15,7 @@ import numpy as np
 
 from mavcompass.attitude.level import BIAS_SIGMA_RADPS
 from mavcompass.earth_field import EarthField
-from mavcompass.frames import FloatArray
+from mavcompass.frames import FloatArray, wrap_angle, wrap_pi
 from mavcompass.heading.fault_isolation import HeadingSource, isolate_faults
 from mavcompass.heading.live import Heading
 from mavcompass.service.config import WatchConfig
@@ -175,7 +175,7 @@ class _GyroComparison:
         self._turned_s = heading.boot_s if turned >= 0.003 else self._turned_s
         if heading.boot_s - self._turned_s > _RAISE_S:
             return
-        self._sum += (steps := (steps + math.pi) % (2.0 * math.pi) - math.pi)
+        self._sum += (steps := wrap_pi(steps))
         self._seen.add(self._sum[:4], turned)
         self._noise2.add(0.5 * float(steps[2]) ** 2, turned)
 
@@ -275,13 +275,13 @@ class CompassWatch:
             record.dip.add((heading.dip_rad - world.inclination_rad) / _DEG, step_s)
         first = glance.headings.get(1)
         if first is not None and heading.instance != 1 and glance.time_s - first.time_s < 1.0:
-            record.apart.add(_wrap(heading.from_gyro_rad - first.from_gyro_rad) / _DEG, step_s)
+            record.apart.add(wrap_angle(heading.from_gyro_rad - first.from_gyro_rad) / _DEG, step_s)
         still = (glance.rate_radps, glance.bias_radps, glance.stands)
         record.step.add(heading, *still, step_s, self.limits.step_deg)
         record.gyro.add(heading)
         course = glance.course_rad
         if course is not None and heading.true_rad is not None and _drives_straight_ahead(glance):
-            off = _wrap(course - heading.true_rad) / _DEG
+            off = wrap_angle(course - heading.true_rad) / _DEG
             if abs(off) < 135.0:  # otherwise it drives backwards
                 record.course.add(off, step_s)
         if glance.current_a is not None:
@@ -392,7 +392,3 @@ def _finding(name: str, instance: int, value: float, limit: float, why: str) -> 
 def _drives_straight_ahead(glance: Glance) -> bool:
     straight = abs(glance.rate_radps) < 0.1
     return straight and glance.speed_mps > COURSE_SPEED_MPS and glance.kind in _AHEAD_KINDS
-
-
-def _wrap(angle_rad: float) -> float:
-    return (angle_rad + math.pi) % (2.0 * math.pi) - math.pi

@@ -14,7 +14,7 @@ from mavcompass.simulation.ardupilot.modes import ModeRules
 from mavcompass.simulation.autopilot.board import Board, Status
 from mavcompass.simulation.autopilot.guidance import HoverGuidance
 from mavcompass.simulation.autopilot.parameters import ParameterStore
-from mavcompass.simulation.physics.motion import rotation_matrix
+from mavcompass.simulation.physics.motion import rotation_matrix, times
 
 _CHECK_ALL, _CHECK_COMPASS, _CHECK_INS = 1, 4, 16
 _ACCELEROMETERS_SETTLE_S = 3.0
@@ -118,11 +118,8 @@ class Arming:
         if threshold <= 0.0 or not self.board.ready:
             return []
         estimate, world = self.board.filter, self.board.world.field_ned_mgauss
-        m = rotation_matrix(estimate.roll_rad, estimate.pitch_rad, estimate.yaw_rad)
-        x, y, z = field
-        north = m[0] * x + m[1] * y + m[2] * z - world[0]
-        east = m[3] * x + m[4] * y + m[5] * z - world[1]
-        down = m[6] * x + m[7] * y + m[8] * z - world[2]
+        attitude = rotation_matrix(estimate.roll_rad, estimate.pitch_rad, estimate.yaw_rad)
+        north, east, down = (a - b for a, b in zip(times(attitude, field), world, strict=True))
         across = math.hypot(north, east)
         if across > threshold:
             return [f"Check mag field (xy diff:{across:.0f}>{threshold:.0f})"]

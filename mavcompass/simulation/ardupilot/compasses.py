@@ -18,6 +18,7 @@ from mavcompass.frames import FloatArray
 from mavcompass.simulation.autopilot.board import Board
 from mavcompass.simulation.autopilot.compasses import Compasses
 from mavcompass.simulation.autopilot.parameters import ParameterStore
+from mavcompass.simulation.physics.motion import times
 
 INSTANCES = (1, 2, 3)
 _FREE_ANGLES = tuple(f"CUST_ROT{n}_{angle}" for n in (1, 2) for angle in ("ROLL", "PITCH", "YAW"))
@@ -82,15 +83,8 @@ class CompassBank(Compasses):
         """Return a compass's present reading in body axes, before the correction."""
         stuck = self._stuck(instance)
         raw = stuck or self._board.sensors.compasses[instance - 1].raw_mgauss
-        m = self._rotations[instance - 1]
-        if m is None or stuck is not None:
-            return raw
-        x, y, z = raw
-        return (
-            m[0] * x + m[1] * y + m[2] * z,
-            m[3] * x + m[4] * y + m[5] * z,
-            m[6] * x + m[7] * y + m[8] * z,
-        )
+        rotation = self._rotations[instance - 1]
+        return raw if rotation is None or stuck is not None else times(rotation, raw)
 
     def read(self) -> None:
         """Correct the new readings; a compass without data keeps its last field."""
@@ -133,12 +127,8 @@ class CompassBank(Compasses):
         raw, o, k = self.raw(instance), c.offsets_mgauss, (0.0, 0.0, 0.0)
         if c.motor_source != "none":
             k = c.motor_field(self.load(c)).tolist()
-        x, y, z = raw[0] + o[0], raw[1] + o[1], raw[2] + o[2]
-        return (
-            m[0] * x + m[1] * y + m[2] * z + k[0],
-            m[3] * x + m[4] * y + m[5] * z + k[1],
-            m[6] * x + m[7] * y + m[8] * z + k[2],
-        )
+        x, y, z = times(m, (raw[0] + o[0], raw[1] + o[1], raw[2] + o[2]))
+        return x + k[0], y + k[1], z + k[2]
 
     def _rotation(self, instance: int) -> tuple[float, ...] | None:
         """Return how the parameters turn what a sensor as it is mounted reads; None: not at all."""

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from enum import IntFlag
 
 from mavcompass.enums import MavFrame
+from mavcompass.frames import wrap_angle
 from mavcompass.messages import SetAttitudeTarget, SetPositionTargetLocalNed
 from mavcompass.simulation.ardupilot.arming import Arming
 from mavcompass.simulation.ardupilot.modes import ModeRules
-from mavcompass.simulation.autopilot.attitude_filter import wrap_angle
 from mavcompass.simulation.autopilot.board import Board, Status
 from mavcompass.simulation.autopilot.guidance import (
     GroundGuidance,

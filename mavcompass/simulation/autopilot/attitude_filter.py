@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 
 from mavcompass.correction import Vector
+from mavcompass.frames import wrap_angle
 from mavcompass.simulation.physics.noise import NoiseTape, generator
 from mavcompass.units import RAD_PER_DEG, STANDARD_GRAVITY_MPS2
 
@@ -36,11 +37,6 @@ _TILT_BEND_TIME_S = 10.0
 # What is told as the compass's variance is the disagreement in units of three sigmas of the yaw noise.
 _VARIANCE_SCALE_RAD = 3.0 * 0.5
 _VARIANCE_TIME_S = 2.0
-
-
-def wrap_angle(angle_rad: float) -> float:
-    """Bring one angle into [-pi, pi)."""
-    return (angle_rad + math.pi) % (2.0 * math.pi) - math.pi
 
 
 def compass_yaw(field: Vector, roll_rad: float, pitch_rad: float, declination_rad: float) -> float:

@@ -9,8 +9,8 @@ import math
 from dataclasses import dataclass
 from enum import IntFlag
 
+from mavcompass.frames import wrap_angle
 from mavcompass.messages import ManualControl, RcChannelsOverride
-from mavcompass.simulation.autopilot.attitude_filter import wrap_angle
 from mavcompass.simulation.autopilot.board import Board
 from mavcompass.simulation.physics.motion import Drive
 

@@ -8,6 +8,7 @@ three numbers costs more than the whole step.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mavcompass.correction import Vector
@@ -62,6 +63,16 @@ def rotation_matrix(roll: float, pitch: float, yaw: float) -> Rotation:
         -sp,
         sr * cp,
         cr * cp,
+    )
+
+
+def times(rows: Sequence[float], vector: Vector) -> Vector:
+    """Return a matrix, row by row, times a vector."""
+    m, (x, y, z) = rows, vector
+    return (
+        m[0] * x + m[1] * y + m[2] * z,
+        m[3] * x + m[4] * y + m[5] * z,
+        m[6] * x + m[7] * y + m[8] * z,
     )
 
 

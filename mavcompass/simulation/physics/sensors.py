@@ -21,7 +21,7 @@ import numpy as np
 
 from mavcompass.correction import IDENTITY, FieldCorrection, Vector
 from mavcompass.frames import FloatArray
-from mavcompass.simulation.physics.motion import Body
+from mavcompass.simulation.physics.motion import Body, times
 from mavcompass.simulation.physics.noise import NoiseTape, generator
 from mavcompass.simulation.physics.signals import Reading, Signals, Stimulus
 from mavcompass.units import MPS2_PER_MILLI_G, RAD_PER_DEG
@@ -81,12 +81,8 @@ class Compass:
 
     def sense(self, field: Vector) -> Vector:
         """Return the noiseless raw reading of a field in body axes."""
-        (x, y, z), m, o = field, self._matrix, self._offsets
-        return (
-            m[0] * x + m[1] * y + m[2] * z - o[0],
-            m[3] * x + m[4] * y + m[5] * z - o[1],
-            m[6] * x + m[7] * y + m[8] * z - o[2],
-        )
+        (x, y, z), o = times(self._matrix, field), self._offsets
+        return x - o[0], y - o[1], z - o[2]
 
     def add_noise(self, raw: Vector, averaging_s: float) -> Vector:
         """Return a reading with the noise of an average over some time."""

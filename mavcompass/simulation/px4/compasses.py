@@ -17,7 +17,7 @@ from mavcompass.compass_parameters import (
     px4_values,
 )
 from mavcompass.correction import FieldCorrection, Vector
-from mavcompass.simulation.autopilot.attitude_filter import wrap_angle
+from mavcompass.frames import wrap_angle
 from mavcompass.simulation.autopilot.board import Board, Status
 from mavcompass.simulation.autopilot.compasses import Compasses
 from mavcompass.simulation.autopilot.parameters import ParameterStore
