@@ -9,19 +9,20 @@ import signal
 import subprocess
 import sys
 import tempfile
-import threading
 from collections.abc import Sequence
 from pathlib import Path
+
+from campaign import borrow
 
 from fault_cells.scene import COMPASS, Scene
 from fault_cells.works import prepare_write
 from mavcompass.messages import Message, ParamRequestRead, ParamSet
 from mavcompass.simulation.autopilot.board import Outgoing
 from mavcompass.simulation.vehicle import SimulatedAutopilot
-from mavcompass.vehicle.links.server import VehicleServer
 from mavcompass.vehicle.parameters.values import same_value
-from mavcompass.vehicle.stopping import StopRequest
-from mavcompass.vehicle.transport import TcpIn, open_transport
+
+borrow("")
+from serving import serving  # noqa: E402
 
 _LONGEST_S = 60.0
 _SPEED = 10.0
@@ -61,14 +62,9 @@ def killed_process(number: int) -> list[str]:
         folder = Path(name)
         prepare_write(Scene(vehicle, folder))
         before = _compass(vehicle)
-        stop, transport = StopRequest(), open_transport(TcpIn("127.0.0.1", 0))
-        server = VehicleServer(victim, transport, speed=_SPEED)
-        thread = threading.Thread(target=server.serve, args=(stop,), daemon=True)
-        thread.start()
-        try:
-            source = f"tcp:127.0.0.1:{transport.name.rpartition(':')[2]}"
-            first = _started(folder, "params", "write", source, str(folder / "wanted.param"), "--yes")
-            victim.program = first
+        with serving(victim, speed=_SPEED) as (_, port):
+            words = ("params", "write", f"tcp:127.0.0.1:{port}", str(folder / "wanted.param"), "--yes")
+            victim.program = first = _started(folder, *words)
             said = "".join(first.communicate(timeout=_LONGEST_S))
             victim.program = None
             if first.returncode != -signal.SIGKILL:
@@ -77,10 +73,6 @@ def killed_process(number: int) -> list[str]:
             if all(same_value(after[n], v) for n, v in before.items()):
                 return []
             return _restored(folder, said, before, vehicle)
-        finally:
-            stop.reason = "The cell is over."
-            thread.join(_LONGEST_S)
-            transport.close()
 
 
 def _restored(folder: Path, said: str, before: dict[str, float], vehicle: SimulatedAutopilot) -> list[str]:
