@@ -41,9 +41,8 @@ def hear(level: Level, message: mav.Message) -> None:
         return  # of another sensor, or of none
     if isinstance(message, mav.RawImu | mav.ScaledImu):
         g, w = MPS2_PER_MILLI_G, RADPS_PER_MILLIRADPS
-        time_s = message.time_usec * 1e-6 if isinstance(message, mav.RawImu) else message.time_boot_ms * 1e-3
         level.update(
-            time_s,
+            telemetry.imu_time_s(message),
             (_uncut(message.xacc) * g, _uncut(message.yacc) * g, _uncut(message.zacc) * g),
             (_uncut(message.xgyro) * w, _uncut(message.ygyro) * w, _uncut(message.zgyro) * w),
         )

@@ -47,7 +47,7 @@ def imu_vectors(imu: Any) -> tuple[tuple[float, ...], ...]:
 
 
 def imu_time_s(imu: Any) -> Any:
-    """Read the time since boot off RAW_IMU (microseconds) or SCALED_IMU (milliseconds), seconds."""
+    """Read the time since boot, seconds, off RAW_IMU (microseconds), SCALED_IMU or others (milliseconds)."""
     if hasattr(imu, "time_usec"):
         return imu.time_usec * 1.0e-6
     return imu.time_boot_ms * 1.0e-3

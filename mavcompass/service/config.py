@@ -14,6 +14,7 @@ from msgspec import Meta
 
 from mavcompass.errors import MavCompassError, UsageError
 from mavcompass.files import read_text
+from mavcompass.installation.private_files import state_directory
 from mavcompass.printable import did_you_mean
 from mavcompass.service.models import Compass, Mistakes, Text, checked, read
 
@@ -62,8 +63,7 @@ def state_folder() -> Path:
     """Return where the service keeps its data unless told: systemd's state folder or the XDG one."""
     if given := os.environ.get("STATE_DIRECTORY"):
         return Path(given.split(":")[0])
-    state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
-    return Path(state) / "mavcompass"
+    return state_directory()
 
 
 @dataclass(frozen=True, slots=True)

@@ -92,7 +92,7 @@ class VehicleView:
             self._preferred_s = time_s
         elif time_s - self._preferred_s < _PREFERRED_SILENCE_S:
             return None  # RAW_IMU says the same, finer in time
-        self.boot_s = _boot_s(imu)
+        self.boot_s = telemetry.imu_time_s(imu)
         hear(self.level, imu)
         return self._compass(1, time_s, imu)
 
@@ -103,7 +103,7 @@ class VehicleView:
             compass.set_world(self.world)
             self._tell_correction(compass)
         field_mgauss = (float(imu.xmag), float(imu.ymag), float(imu.zmag))
-        heading = compass.update(time_s, _boot_s(imu), field_mgauss, self.level)
+        heading = compass.update(time_s, telemetry.imu_time_s(imu), field_mgauss, self.level)
         if heading is not None:
             self._agreement.hear(heading, self.compasses, self.level.rate_radps)
         return heading
@@ -112,7 +112,7 @@ class VehicleView:
         """Tell whether a message shows that the vehicle's clock began anew."""
         if not isinstance(message, mav.RawImu | mav.ScaledImu | mav.Attitude | mav.GlobalPositionInt):
             return False
-        return _boot_s(message) < self.boot_s - _REBOOT_S
+        return bool(telemetry.imu_time_s(message) < self.boot_s - _REBOOT_S)
 
     def restart(self) -> None:
         """Forget what a reboot ends."""
@@ -207,7 +207,3 @@ class VehicleView:
             speed_mps=speed_mps,
             current_a=battery.current_battery * 0.01 if measured and battery is not None else None,
         )
-
-
-def _boot_s(message: mav.RawImu | mav.ScaledImu | mav.Attitude | mav.GlobalPositionInt) -> float:
-    return message.time_usec * 1e-6 if isinstance(message, mav.RawImu) else message.time_boot_ms * 1e-3

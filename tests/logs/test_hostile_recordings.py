@@ -23,7 +23,9 @@ from mavcompass.logs import read_track
 from mavcompass.service.config import load_config
 from mavcompass.track import Track
 from mavcompass.vehicle.parameters.files import read_parameter_file
+from mavcompass.vehicle.parameters.undo import load_record
 from mavcompass.vehicle.replay import replayed_autopilot
+from mavcompass.vehicle.wire.signing import Signing
 
 CAMPAIGN = Path(__file__).parents[2] / "scripts" / "campaigns" / "hostile_recordings.py"
 
@@ -105,7 +107,7 @@ def test_columns_and_lines_without_end_are_refused(
 
 
 def test_a_text_without_end_is_refused() -> None:
-    for read in (read_parameter_file, load_config, read_stored):
+    for read in (read_parameter_file, load_record, load_config, read_stored, Signing.of_file):
         with pytest.raises(UsageError):
             read(Path("/dev/zero"))
 

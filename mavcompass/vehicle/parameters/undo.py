@@ -19,6 +19,7 @@ from functools import partial
 from pathlib import Path
 
 from mavcompass.errors import Refused, UsageError, WriteFailed
+from mavcompass.files import read_text
 from mavcompass.installation.private_files import locked, private_folder, state_directory, write_private
 from mavcompass.procedure.dialect import CutShort, ParameterPlan, SaveUndo
 from mavcompass.procedure.nameplate import Nameplate
@@ -146,7 +147,7 @@ def remove_record(undo_file: Path) -> None:
 def load_record(path: Path) -> UndoRecord:
     """Read a record; raises UsageError where the file is not one."""
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(read_text(path))
         if document["schema"] != SCHEMA:
             raise ValueError(f"its schema is {document['schema']!r}")
         vehicle = document.get("vehicle")

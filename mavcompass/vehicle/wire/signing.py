@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from mavcompass.errors import UsageError
+from mavcompass.files import read_text
 from mavcompass.installation.private_files import locked, private_folder, state_directory, write_private
 from mavcompass.messages.message import SIGNATURE_BYTES
 
@@ -74,7 +75,7 @@ class Signing:
         Raises UsageError for a file that holds none, and where the time stamps cannot be kept.
         """
         try:
-            text = path.read_text(encoding="utf-8").strip()
+            text = read_text(path).strip()
         except (OSError, UnicodeDecodeError) as error:
             raise UsageError(f"The signing key {path} cannot be read ({error}).", _WHAT_A_KEY_IS) from error
         if not text or "\n" in text:
