@@ -43,8 +43,6 @@ _SLOPE_S, _SLOPE_AT_LEAST_S = 8.0, 3.2
 # The yaw of PX4 on the ground goes to and fro in 5 to 20 s. So long it is watched, and by what was seen then
 # it is judged: what its sensors' noise may do to it later is no matter of the calibration.
 _WANDER_S, _WANDER_AT_LEAST_S = 20.0, 14.0
-# The error falls so fast, as a share of itself per second, once the bias is unlearned.
-_UNLEARNED_PER_S = 0.01
 _SAMPLE_S = 1.2
 # What noise may leave of a sample; noisy sensors take longer samples, and everything with them.
 _TILT_KNOWN_RAD, _FIELD_KNOWN_MGAUSS, _LONGEST_SAMPLE_S = math.radians(0.5), 3.0, 5.0
@@ -337,16 +335,14 @@ class OwnHeading:
         return self.desk.dialect.prompt_estimator(self.desk.parameters, self.flying)
 
     def _may_help(self) -> bool:
-        """Tell whether taking the compass's yaw over leaves less error: not while it swings, or is unknown.
+        """Tell whether taking the compass's yaw over leaves less error: not while it grows, or is unknown.
 
         An estimator that has slid off, or keeps a bias of its gyro, comes back slowly or not at all.
         """
         error_deg = abs(self.error_deg)
-        falling = -self.slope_dps * math.copysign(1.0, self.error_deg)
-        unlearned = falling > _UNLEARNED_PER_S * error_deg
-        settled = abs(self.slope_dps) * _SWING_S < error_deg
+        growing_dps = self.slope_dps * math.copysign(1.0, self.error_deg)
         may = self._has_a_way and not self.flying and not self.set_aside and not math.isnan(self.wander_deg)
-        return may and error_deg > _STILL_WORTH_DEG and (unlearned or settled)
+        return may and error_deg > _STILL_WORTH_DEG and growing_dps * _SWING_S < error_deg
 
     def _put_right(self) -> Script[bool]:
         """Have the autopilot take its compass's yaw over, and say so; False where it knows no way."""

@@ -12,6 +12,7 @@ import pytest
 from mavcompass.earth_field import earth_field
 from mavcompass.errors import LinkLost, Refused
 from mavcompass.messages import GlobalPositionInt, ScaledImu2, ScaledImu3, SystemTime
+from mavcompass.simulation.physics.motion import Drive
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.heading_stream import LiveHeading, headings
 from mavcompass.vehicle.links.simulated import SimulatedLink
@@ -85,6 +86,20 @@ def test_the_declination_is_the_dates() -> None:
     then = earth_field(*place, 2029.0).declination_rad  # 1.3e-3 rad more than in 2026
     assert found.true_rad is not None
     assert found.true_rad - found.magnetic_rad == pytest.approx(then, abs=1e-4)
+
+
+def test_what_the_receiver_of_one_that_drives_shows_of_north_is_looked_at_every_minute(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    link = listening()
+    steering = type(link.autopilot.firmware.steering)  # type: ignore[attr-defined]
+    monkeypatch.setattr(steering, "control", lambda *_: Drive(0.0, 3.0, motors_on=True))
+    *_, found = first(link, 700)
+    assert found.north is not None
+    assert [one.seconds for one in (*found.north.learnt, *found.north.doubted)] == pytest.approx(
+        [60.0], abs=2.0
+    )
+    assert abs(off_deg(found, link)) < 3.0
 
 
 def test_two_axes_know_the_world_and_need_no_third() -> None:
