@@ -57,6 +57,24 @@ def test_the_first_compass_is_always_asked_for_as_it_brings_the_gyro_along() -> 
     assert desk_of(began_s=58.0).duration_s() == 42.0
 
 
+@pytest.mark.parametrize(
+    ("autopilot", "kind", "rates_hz"),
+    [
+        ("ardupilot", "rover", {mav.RawImu: 25.0, mav.EkfStatusReport: 2.0, mav.GpsRawInt: 2.0}),
+        ("ardupilot", "copter", {mav.RawImu: 50.0, mav.EkfStatusReport: 2.0, mav.GpsRawInt: 5.0}),
+        ("px4", "copter", {mav.ScaledImu: 100.0, mav.LocalPositionNed: 4.0, mav.GpsRawInt: 5.0}),
+    ],
+)
+def test_readings_come_fast_and_what_guards_the_vehicle_as_often_as_it_must(
+    autopilot: str, kind: Kind, rates_hz: dict[type[mav.Message], float]
+) -> None:
+    witness = {mav.ScaledImu2: 10.0, mav.Attitude: 10.0, mav.SystemTime: 2.0}
+    guard = dict.fromkeys((mav.GlobalPositionInt, mav.RcChannels, mav.SysStatus, mav.Heartbeat), 4.0)
+    desk = desk_of((1, 2), autopilot, kind=kind)
+    assert desk.calibration_rates((1,), 25.0) == rates_hz | witness | guard
+    assert desk.calibration_rates((1,), 5.0)[mav.ScaledImu2] == 5.0
+
+
 # --- who turns it -----------------------------------------------------------------------------------------
 
 GUIDED = {"rover": 15, "boat": 15, "copter": 4, "sub": 4}

@@ -152,7 +152,27 @@ def test_px4_is_started_its_texts_passed_on_in_words_and_left_when_done() -> Non
     assert "Now turn it round slowly, this side down. 0 %, 4 of 6 sides done." in told
     assert "Go on turning it round. 75 %, 4 of 6 sides done." in told
     assert "This side is done: take another. 75 %, 5 of 6 sides done." in told
-    assert dict(shown[0].data)["roll_deg"] == -90.0
+
+
+@pytest.mark.parametrize(
+    ("side", "words", "roll_deg", "pitch_deg"),
+    [
+        ("down", "level, as it stands", 0.0, 0.0), ("up", "upside down", 180.0, 0.0),
+        ("left", "on its left side", -90.0, 0.0), ("right", "on its right side", 90.0, 0.0),
+        ("front", "nose down", 0.0, -90.0), ("back", "tail down", 0.0, 90.0),
+    ],
+)  # fmt: skip
+def test_each_side_is_shown_as_it_is_held(side: str, words: str, roll_deg: float, pitch_deg: float) -> None:
+    shown: list[Show] = []
+    with vehicle_script(
+        Expect(CommandLong(command=PREFLIGHT, param2=1.0)),
+        accepted(PREFLIGHT),
+        *said("calibration started: 2 mag", f"pending: {side}", "hold vehicle still on a pending side"),
+        *said("calibration done: mag"),
+    ) as link:
+        run(Machine(of_px4), link, on_show=shown.append)
+    assert shown[0].text == f"Hold it still {words}. 0 %, 5 of 6 sides done."
+    assert dict(shown[0].data).items() >= {"roll_deg": roll_deg, "pitch_deg": pitch_deg}.items()
 
 
 def test_what_px4_could_not_do_is_told_with_its_own_reason() -> None:

@@ -378,7 +378,12 @@ def test_an_attitude_is_played_as_often_as_it_was_recorded_and_no_faster_than_te
 
 def test_the_rates_of_a_track_can_be_asked_for() -> None:
     with played(track_of("ardupilot")) as link:
-        for kind, interval_us in ((RawImu, 20_000), (Attitude, 40_000), (GlobalPositionInt, 200_000)):
+        for kind, interval_us in (
+            (RawImu, 20_000),
+            (Attitude, 40_000),
+            (GlobalPositionInt, 200_000),
+            (ServoOutputRaw, 200_000),
+        ):
             question = CommandLong(1, 1, MavCmd.GET_MESSAGE_INTERVAL, 0, float(message_id(kind)))
             answer = ask(link, question, MessageInterval)
             assert isinstance(answer, MessageInterval) and answer.message_id == message_id(kind)
