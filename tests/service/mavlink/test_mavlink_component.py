@@ -264,6 +264,7 @@ def test_progress_is_told_five_times_a_second_the_end_once_and_the_report_eight_
     assert running[mav.MagCalProgress] == pytest.approx(20, abs=2) == later[mav.MagCalProgress]
     assert ended[mav.Statustext] == later[mav.Statustext] == texts and not running[mav.Statustext]
     assert (ended[mav.MagCalReport], later[mav.MagCalReport]) == (bool(reports), reports - bool(reports))
+    assert sum(isinstance(message, mav.MagCalReport) for message in heard) == reports
 
 
 @pytest.mark.parametrize(("true_rad", "told_deg"), [(1.5, 85.9), (None, 57.3)])

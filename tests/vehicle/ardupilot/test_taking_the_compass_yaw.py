@@ -34,22 +34,23 @@ def take(parameters: Mapping[str, float], flying: bool = False) -> Machine[str]:
     return Machine(script)
 
 
-HEADING, FIELD, LEFT = "EK3_YAW_M_NSE", "EK3_MAG_EF_LIM", None
+HEADING, LEFT = {"EK3_YAW_M_NSE": 0.05, "EK3_GBIAS_P_NSE": 0.1}, dict[str, float]()
+FIELD = {"EK3_MAG_EF_LIM": 1.0, "EK3_MAG_M_NSE": 0.001, "EK3_GBIAS_P_NSE": 0.03, "EK3_MAG_I_GATE": 1000.0}
 
 
 @pytest.mark.parametrize(
     ("held", "on_the_ground", "in_flight", "idle"),
     [({}, HEADING, FIELD, 2), ({"EK3_MAG_CAL": 2.0}, HEADING, HEADING, 2),
-     ({"EK3_SRC1_YAW": 3.0}, HEADING, FIELD, 2), ({"EK3_SRC1_YAW": 2.0}, LEFT, LEFT, LEFT),
-     ({"AHRS_EKF_TYPE": 2.0}, LEFT, LEFT, LEFT), ({"EK3_SRC2_YAW": 1.0}, HEADING, FIELD, 3),
-     ({"EK3_SRC2_YAW": 1.0, "EK3_SRC3_YAW": 1.0}, HEADING, FIELD, LEFT),
-     ({"EK3_SRC3_POSXY": 3.0}, HEADING, FIELD, LEFT)],
+     ({"EK3_SRC1_YAW": 3.0}, HEADING, FIELD, 2), ({"EK3_SRC1_YAW": 2.0}, LEFT, LEFT, None),
+     ({"AHRS_EKF_TYPE": 2.0}, LEFT, LEFT, None), ({"EK3_SRC2_YAW": 1.0}, HEADING, FIELD, 3),
+     ({"EK3_SRC2_YAW": 1.0, "EK3_SRC3_YAW": 1.0}, HEADING, FIELD, None),
+     ({"EK3_SRC3_POSXY": 3.0}, HEADING, FIELD, None)],
 )  # fmt: skip
 def test_an_estimator_is_told_to_believe_the_compass_that_it_follows_and_has_a_set_to_rest_on(
-    held: dict[str, float], on_the_ground: str | None, in_flight: str | None, idle: int | None
+    held: dict[str, float], on_the_ground: dict[str, float], in_flight: dict[str, float], idle: int | None
 ) -> None:
     parameters = AS_SHIPPED | held
-    told = [next(iter(prompt_ekf3(parameters, flying)), None) for flying in (False, True)]
+    told = [prompt_ekf3(parameters, flying) for flying in (False, True)]
     assert (*told, idle_set(parameters)) == (on_the_ground, in_flight, idle)
 
 
