@@ -23,6 +23,7 @@ from mavcompass.procedure.autopilot_heading import OwnHeading
 from mavcompass.procedure.motion import Permissions
 from mavcompass.procedure.positions.proof import CompassProof, Proof
 from mavcompass.procedure.report import AutopilotHeading, yaw_error_rad
+from mavcompass.procedure.script import Context, Machine, Tick, nothing
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.report.document import live_document
 from mavcompass.simulation.ardupilot import ArduPilot
@@ -219,6 +220,32 @@ def watched(
         off = float(off_deg + swing + sees * rng.normal(0.0, noise_deg))
         own.note(float(time_s), off, noise_deg, float(179.9 + swing))
     return own
+
+
+@pytest.mark.parametrize(
+    ("kind", "armed", "bent_deg", "loads_disarmed", "told"),
+    [
+        ("rover", True, 0.0, False, True), ("rover", True, 9.0, True, False),
+        ("copter", True, 0.7, False, False), ("copter", True, -0.8, False, True),
+        ("copter", False, 0.7, False, True),
+    ],
+)  # fmt: skip
+def test_an_estimator_is_told_to_follow_its_compass_and_one_that_flies_where_it_is_worth_it(
+    kind: str, armed: bool, bent_deg: float, loads_disarmed: bool, told: bool
+) -> None:
+    dialect = SimpleNamespace(
+        loads_disarmed=loads_disarmed, prompt_estimator=lambda *_: {"EK3_YAW_M_NSE": 0.05}
+    )
+    vehicle = SimpleNamespace(identity=SimpleNamespace(kind=kind), state=SimpleNamespace(armed=armed))
+    desk = SimpleNamespace(dialect=dialect, parameters={}, context=Context(), **vars(vehicle))
+    held = list[object]()
+    overrides = SimpleNamespace(hold=lambda context, values: nothing(held.append(values) is None))
+    own = OwnHeading(desk, 2026.0, overrides)  # type: ignore[arg-type]
+    own.note(1.0, bent_deg, 0.1, 90.0)
+    own.found([CalibrationResult(1, "four-positions", True, (), IDENTITY)], ())
+    assert own.before_deg == bent_deg
+    Machine(lambda _: own.expect()).step(Tick(0.0))
+    assert bool(held) is told
 
 
 @pytest.mark.parametrize("noise_deg", [0.1, 0.9])

@@ -58,15 +58,23 @@ def drive(
     return out
 
 
-def test_rates_are_asked_for_by_the_numbers_of_the_protocol() -> None:
-    names = (
-        "ATTITUDE SCALED_PRESSURE LOCAL_POSITION_NED GLOBAL_POSITION_INT VFR_HUD"
-        " SERVO_OUTPUT_RAW GPS_RAW_INT SYS_STATUS BATTERY_STATUS EKF_STATUS_REPORT"
-    )
-    numbers = {getattr(ardupilotmega, f"MAVLINK_MSG_ID_{name}") for name in names.split()}
-    px4 = {ardupilotmega.MAVLINK_MSG_ID_SCALED_IMU, ardupilotmega.MAVLINK_MSG_ID_HIGHRES_IMU}
-    assert set(follow.flight_rates(20.0, "px4")) == numbers | px4
-    assert set(follow.flight_rates(20.0, "ardupilot")) == numbers | {ardupilotmega.MAVLINK_MSG_ID_RAW_IMU}
+@pytest.mark.parametrize(
+    ("autopilot", "rate_hz", "imu_hz", "slow_hz", "attitude_hz"),
+    [
+        ("ardupilot", 20.0, 20.0, 10.0, 20.0),
+        ("ardupilot", 99.0, 50.0, 10.0, 50.0),
+        ("px4", 1.0, 5.0, 5.0, 10.0),
+    ],
+)
+def test_rates_are_asked_for_by_the_numbers_of_the_protocol(
+    autopilot: str, rate_hz: float, imu_hz: float, slow_hz: float, attitude_hz: float
+) -> None:
+    slow = ("LOCAL_POSITION_NED", "GLOBAL_POSITION_INT", "VFR_HUD", "SERVO_OUTPUT_RAW", "BATTERY_STATUS")
+    rates = dict.fromkeys(slow, slow_hz) | {"GPS_RAW_INT": 5.0, "SYS_STATUS": 4.0, "EKF_STATUS_REPORT": 4.0}
+    rates |= {"SCALED_PRESSURE": 2.0, "ATTITUDE": attitude_hz}
+    rates |= {"RAW_IMU": imu_hz} if autopilot == "ardupilot" else {"SCALED_IMU": imu_hz, "HIGHRES_IMU": 0.0}
+    numbers = {getattr(ardupilotmega, f"MAVLINK_MSG_ID_{name}"): hz for name, hz in rates.items()}
+    assert follow.flight_rates(rate_hz, autopilot) == numbers
 
 
 def test_what_drives_is_asked_for_speed_and_rate() -> None:
@@ -168,10 +176,31 @@ def test_its_place_is_waited_for_two_minutes_of_its_clock() -> None:
     drive(machine, clock, 200.0, 30.0, speed=4.0)
     assert isinstance(machine.error, Refused) and "It said: EKF3 waiting for GPS." in machine.error.what
     assert "in 120 s" in machine.error.what and clock.time_s == pytest.approx(120.0 + 120.0, abs=1.5)
-    state.ekf = mav.EkfStatusReport(flags=0x1FF)
-    ready = Machine(lambda context: follow._until_it_knows_its_place(context, ROVER, state, clock))
+
+
+PLACE, LOCAL = mav.GlobalPositionInt(), mav.LocalPositionNed()
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "told", "knows"),
+    [
+        ("ardupilot", {}, False), ("ardupilot", {"ekf": mav.EkfStatusReport(flags=0x1FF)}, True),
+        *(("ardupilot", {"ekf": mav.EkfStatusReport(flags=0x1FF & ~bit)}, False) for bit in (1, 2, 16)),
+        ("px4", {"place": PLACE, "local": LOCAL}, True), ("px4", {"place": PLACE}, False),
+        ("px4", {"local": LOCAL}, False),
+    ],
+)  # fmt: skip
+def test_it_flies_once_its_estimator_has_attitude_speed_and_place(
+    autopilot: str, told: dict[str, mav.Message], knows: bool
+) -> None:
+    state, clock, identity = (
+        VehicleState(**told),
+        heard(_Clock(), 0.0),
+        VehicleIdentity(1, 1, autopilot, "copter"),
+    )
+    ready = Machine(lambda context: follow._until_it_knows_its_place(context, identity, state, clock))
     ready.step(Tick(0.0))
-    assert ready.done and ready.error is None
+    assert ready.done is knows and ready.error is None
 
 
 def test_a_parameter_is_set_as_its_type_and_answered() -> None:

@@ -139,6 +139,19 @@ def test_frames_behind_what_might_begin_one_are_found_wherever_the_stream_is_cut
         assert [f.sequence for f in frames] == list(range(12)), cut
 
 
+@pytest.mark.parametrize("lost_from", [1, 10])
+def test_frames_that_follow_the_beginning_of_an_unknown_one_are_not_skipped_as_part_of_it(
+    lost_from: int,
+) -> None:
+    """Of a frame of another dialect the rest is lost; where it says that it ends, a good one begins."""
+    writer = FrameWriter()
+    good = [writer.write(SAMPLE, 1, 1) for _ in range(12)]
+    begun = bytes((0xFD, lost_from + 3 * len(good[0]) - 12, 0, 0, 0, 1, 1, 0xFF, 0xFF, 0xFF))[:lost_from]
+    counts = Counts()
+    assert [f.raw for f in FrameParser(counts).feed(begun + b"".join(good))] == good
+    assert counts == Counts(malformed=1)
+
+
 def test_frames_with_flags_that_must_be_understood_are_not_taken() -> None:
     raw = bytearray(FrameWriter().write(SAMPLE, 1, 1))
     raw[2] = 0x02
