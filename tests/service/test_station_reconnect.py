@@ -137,12 +137,13 @@ def test_a_stop_of_the_service_halts_the_vehicle_first(start_service: StartServi
 def test_what_is_asked_for_is_given_back_at_the_end_and_a_heartbeat_told_every_second(
     kind: str, may_hover: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    link, asked = SimulatedLink.of(kind, seed=1, speed=20.0), dict[int, float]()
+    link, asked, first = SimulatedLink.of(kind, seed=1, speed=20.0), dict[int, float](), dict[int, float]()
     send, beats_s = link.send, list[float]()
 
     def note(message: mav.Message) -> None:
         if isinstance(message, mav.CommandLong) and message.command == MavCmd.SET_MESSAGE_INTERVAL:
             asked[int(message.param1)] = message.param2
+            first.setdefault(int(message.param1), message.param2)
         if isinstance(message, mav.Heartbeat):
             beats_s.append(link.now())
         send(message)
@@ -152,7 +153,11 @@ def test_what_is_asked_for_is_given_back_at_the_end_and_a_heartbeat_told_every_s
     station.start()
     wait_for(lambda: station.headings and len(asked) > 5 and len(beats_s) > 9)
     assert median(b - a for a, b in pairwise(beats_s)) == pytest.approx(1.0, abs=0.3)
-    assert all(asked.values()) and (mav.message_id(mav.ExtendedSysState) in asked) is may_hover
+    assert all(asked.values())
+    rates_hz = {mav.RawImu: 40.0, mav.ScaledImu2: 10.0, mav.ScaledImu3: 10.0, mav.Attitude: 10.0}
+    rates_hz |= {mav.GpsRawInt: 5.0, mav.GlobalPositionInt: 2.0, mav.SysStatus: 2.0, mav.SystemTime: 1.0}
+    rates_hz |= {mav.ExtendedSysState: 1.0} if may_hover else {}
+    assert first == {mav.message_id(kind): 1e6 / hz for kind, hz in rates_hz.items()}
     assert station.stop() and not any(asked.values())
 
 

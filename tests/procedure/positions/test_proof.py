@@ -13,6 +13,7 @@ from mavcompass.calibration import calibrate_track
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
 from mavcompass.procedure.positions import Proof, prove
+from mavcompass.procedure.positions.proof import CompassProof
 from mavcompass.procedure.report import CalibrationReport
 from mavcompass.procedure.settings import CalibrateSettings
 from mavcompass.simulation.heading_error import heading_error_rms_deg
@@ -48,6 +49,18 @@ def test_a_right_calibration_is_proven(solved: Solved) -> None:
     proof = proof_of(solved)
     assert proof.passed and proof.summary().startswith("Checked by a turn: compass 1 ")
     assert proof.compasses[0].change_deg < 0.3 and proof.compasses[0].tolerance_deg < 5.0
+
+
+def test_after_three_turns_that_prove_nothing_the_old_values_are_put_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    proofs = [Proof((CompassProof(1, 6.7, 6.9, tolerance_deg=1.5),))] * 9
+    monkeypatch.setattr("mavcompass.procedure.calibrate.prove", lambda *_: proofs.pop())
+    vehicle = bent_vehicle("rover", 3)
+    before = heading_error_rms_deg(vehicle)
+    report = calibrated(vehicle, tmp_path)
+    assert report.undone and not report.written and len(proofs) == 6
+    assert heading_error_rms_deg(vehicle) == pytest.approx(before, abs=0.1)
 
 
 def test_a_bend_that_the_turn_does_not_show_is_seen_by_solving_anew(solved: Solved) -> None:

@@ -127,17 +127,21 @@ def test_a_dwell_is_measured_in_readings_too(interval_s: float, length_s: float)
     assert dwelt(heard=heard)[0] == pytest.approx(length_s, abs=0.12 + 0.1 * interval_s)
 
 
-def test_who_moves_before_the_last_reading_is_dwelt_upon_for_as_long_as_it_stood() -> None:
+@pytest.mark.parametrize(
+    ("interval_s", "until_s", "length_s"), [(0.47, 4.6, 1.92), (0.59, 5.6, 3.0), (0.59, 6.2, 3.6)]
+)
+def test_who_moves_before_the_last_reading_is_dwelt_upon_for_as_long_as_it_stood(
+    interval_s: float, until_s: float, length_s: float
+) -> None:
     said = [-math.inf]
 
     def heard(time_s: float) -> mav.Incoming | None:
-        if time_s - said[0] < 0.47:
+        if time_s - said[0] < interval_s:
             return None
         said[0] = time_s
-        return imu(time_s, 0.0 if time_s < 4.6 else 40.0)
+        return imu(time_s, 0.0 if time_s < until_s else 40.0)
 
-    length_s, *_ = dwelt(heard=heard)
-    assert 1.7 <= length_s < 3.6
+    assert dwelt(heard=heard)[0] == pytest.approx(length_s)
 
 
 def test_a_dwell_that_is_disturbed_begins_anew_twice() -> None:
