@@ -74,9 +74,9 @@ class RollCall:
             return
         assert isinstance(beat, mav.Heartbeat)
         before = self.found.setdefault(found.system, (found, beat))[0]
-        if before.component == found.component and before != found:
-            raise Refused(*shared_id(found.system))
         if before.component == found.component:
+            if before != found:
+                raise Refused(*shared_id(found.system))
             self.found[found.system] = found, beat
         self.first_s = min(self.first_s, heard.time_s)
 

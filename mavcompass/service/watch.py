@@ -202,7 +202,7 @@ class _CurrentCoupling:
 
     def swing_mgauss(self) -> float:
         """Return how far the field goes with the current, 0 where they are not seen to go together."""
-        if self._seen.weight < 0.3 or self._seen.products[2, 2] < _SPREAD_A**2:
+        if self._seen.weight < 0.3:
             return 0.0
         (ii, ih, iz), (_, hh, _), (_, _, zz) = self._seen.beside(2, _NO_TURN_RAD)
         if ii < _SPREAD_A**2 or ih * ih + iz * iz < 0.4 * ii * (hh + zz):

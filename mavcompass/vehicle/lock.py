@@ -37,7 +37,7 @@ class VehicleLock:
     def hold(self, plate: Nameplate) -> None:
         """Hold a vehicle until `release`, where it is not held already. Raises Refused where another does."""
         who = f"{plate.key} {plate.system if plate.uid else self._where}"
-        name = b"\0mavcompass-" + hashlib.sha256(who.encode()).hexdigest()[:32].encode()
+        name = b"\0mavcompass-" + hashlib.sha256(who.encode()).digest()
         if self._held is not None and self._held[0] == name:
             return
         self.release()

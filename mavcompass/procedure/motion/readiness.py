@@ -228,17 +228,14 @@ class Readiness:
             *(0.0, 0.0, 0.0, free, free, free, ground_m + height_m),
             what="the take-off",
         )
-        end_s = context.now + _CLIMB_PATIENCE_S
-        if result == MavResult.ACCEPTED:
-            while context.now < end_s and self._height_m() < 0.93 * height_m:
-                if not self.state.armed:
-                    break
-                yield from pause(context, 0.1)
-        if self._height_m() < 0.93 * height_m:
-            raise Refused(
-                f"The vehicle did not take off.{self._why()}",
-                "Take off by hand and run again.",
-            )
+        end_s = context.now + (_CLIMB_PATIENCE_S if result == MavResult.ACCEPTED else 0.0)
+        while self._height_m() < 0.93 * height_m:
+            if context.now >= end_s or not self.state.armed:
+                raise Refused(
+                    f"The vehicle did not take off.{self._why()}",
+                    "Take off by hand and run again.",
+                )
+            yield from pause(context, 0.1)
         yield from pause(context, 2.0)  # to come to rest
 
     def _land(self, context: Context, patience_s: float) -> Script[None]:

@@ -178,10 +178,7 @@ class MotionGuard:
         return 0.0 if place is None or start is None else math.hypot(*metres_from(start, place))
 
     def _strayed(self) -> str | None:
-        if self._place is None:
-            self._place = self.state.place
-        if self._place is None:
-            return None
+        self._place = self._place or self.state.place
         if self.strayed_m > self.room_m:
             reason = f"The vehicle moved {self.strayed_m:.1f} m away from where it started."
             return f"{reason} {_CIRCLING if self.kind in HOVERING else _ASTRAY}"

@@ -131,7 +131,7 @@ def _report(
 ) -> mav.MagCalReport:
     if result is None:
         return mav.MagCalReport(instance - 1, mask, MagCalStatus.FAILED)
-    good = result.accepted and (task.state != "failed") and (task.ok or not task.finished)
+    good = result.accepted and (task.ok or not task.finished)
     c = result.correction
     fitness = result.residual_rms_mgauss
     return mav.MagCalReport(

@@ -92,6 +92,18 @@ def test_a_compass_that_is_off_is_offered_old_against_new(drive: Drive) -> None:
     assert again.accepted and again is not result
 
 
+def test_it_looks_at_what_was_kept_each_minute_at_first_and_then_every_five(
+    drive: Drive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(room, "PIECE_S", 1.0)  # of ten seconds
+    looked_at = list[int]()
+    call = lambda _, pieces, *others: looked_at.append(len(pieces)) or {}  # type: ignore[func-returns-value]  # noqa: E731
+    monkeypatch.setattr(drive.learning._worker, "call", call)
+    for _ in range(660):
+        drive.go((0.5, -0.5))
+    assert looked_at == [*range(6, 61, 6), 90, 120]
+
+
 def test_a_compass_that_is_right_is_not_offered(drive: Drive) -> None:
     drive.iron = np.zeros(3)
     drive.go(going_round(20))

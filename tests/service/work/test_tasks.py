@@ -71,6 +71,13 @@ def test_who_joins_late_sees_the_whole_run() -> None:
     assert late["turned_at_start_deg"] == 57.3
 
 
+def test_a_run_is_drawn_by_nine_hundred_points_none_nearer_to_the_last_than_three_halves() -> None:
+    one = task()
+    for step in range(4000):
+        one.trail.add(Heading(0.0, 0.0, 1, 0.0, None, 0.1, (0.5 * step, 5.0, 400.0)), 0.0)
+    assert one.trail.since({})["compasses"][1]["points"] == [(1.5 * k, 5.0) for k in range(900)]
+
+
 def test_an_end_is_an_end() -> None:
     done, failed = task(), task()
     assert not done.finished
