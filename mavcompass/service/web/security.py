@@ -105,7 +105,7 @@ class Guard:
             await self._app(scope, receive, self._with_headers(send))
         elif scope["type"] == "websocket":
             await receive()  # the opening
-            await send({"type": "websocket.close", "code": 4000 + refusal[0], "reason": refusal[1]})
+            await send({"type": "websocket.close"})  # which a client that was not let in sees as 403
         else:
             await self._refuse(refusal, scope, receive, send)
 
