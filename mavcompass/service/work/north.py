@@ -58,7 +58,7 @@ class NorthKeeper:
         mounted = orientation_name(view.identity.autopilot, view.parameters, instance)
         about = f"{view.key} {view.device_id(instance)} {mounted} {in_force}"
         now = TrueNorth.of(world, compass.fixes.seen(view.identity.kind))
-        fresh = [self._take(about, compass.fixes, where[:2], one, world) for one in now.learnt]
+        fresh = [self._take(about, compass.fixes, where, one, world) for one in now.learnt]
         if any(fresh):
             self._save()
         here = [row for row in self._rows if row["about"] == about]

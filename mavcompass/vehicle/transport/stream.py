@@ -51,7 +51,7 @@ class Stream:
         except BlockingIOError:
             return b""
         if not data:
-            raise EOFError
+            raise EOFError("closed by the other end")
         return data
 
     def write(self, data: bytes) -> bool:
@@ -158,7 +158,7 @@ class StreamTransport:
         self._stream = None
 
     def _broke(self, error: Exception) -> None:
-        _log.info("%s broke (%s), trying again", self.name, error or "closed by the other end")
+        _log.info("%s broke (%s), trying again", self.name, error)
         self._drop()
         self._next_try_s = time.monotonic() + self._reconnect.every_s
         self._give_up_s = time.monotonic() + self._reconnect.again_s

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import socket
 import sys
@@ -164,7 +165,8 @@ def test_a_server_that_starts_a_moment_later_is_waited_for() -> None:
     servers[0].close()
 
 
-def test_a_broken_tcp_connection_is_opened_again() -> None:
+def test_a_broken_tcp_connection_is_opened_again(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
     server = open_transport(TcpIn("127.0.0.1", 0))
     number = int(server.name.rpartition(":")[2])
     with (
@@ -188,6 +190,7 @@ def test_a_broken_tcp_connection_is_opened_again() -> None:
             began_s = time.monotonic()
             ours.wait(0.2)
             assert time.monotonic() - began_s > 0.15, "it sleeps while nothing comes"
+    assert f"tcp:127.0.0.1:{number} broke (closed by the other end), trying again" in caplog.messages
 
 
 def test_a_usb_port_that_vanishes_and_comes_back_is_opened_again(tmp_path: Path) -> None:
