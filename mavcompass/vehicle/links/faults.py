@@ -53,7 +53,7 @@ class Faults:
 class FaultyLink(Link):
     """Wrap a link; with a virtual one the faults happen in virtual time, the same for the same seed."""
 
-    def __init__(self, link: Link, faults: Faults, seed: int = 0) -> None:
+    def __init__(self, link: Link, faults: Faults, seed: int) -> None:
         super().__init__(f"{link.name} (faulty)", link.identity)
         self._link = link
         self.faults = faults
@@ -110,7 +110,7 @@ class FaultyLink(Link):
 class FaultyRecording:
     """Wrap the vehicle of a recording; the faults are the same for the same seed."""
 
-    def __init__(self, recorded: Recorded, faults: Faults, seed: int = 0) -> None:
+    def __init__(self, recorded: Recorded, faults: Faults, seed: int) -> None:
         self._recorded = recorded
         self._coming = _Way[SaidMessage](faults, faults.loss, f"in {seed}")
         self._going = _Way[tuple[Message, int, int, int]](faults, faults.loss_of_ours, f"out {seed}")

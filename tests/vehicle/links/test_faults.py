@@ -78,7 +78,7 @@ def test_a_cut_for_good_is_a_lost_link() -> None:
 
 def test_it_speaks_under_the_identity_that_was_given_to_it() -> None:
     vehicle = MemoryVehicle()
-    with FaultyLink(SimulatedLink(vehicle), Faults()) as link:
+    with FaultyLink(SimulatedLink(vehicle), Faults(), seed=0) as link:
         link.identity = GROUND_STATION
         link.send(Heartbeat())
     assert vehicle.heard == [(255, 190, Heartbeat())]
