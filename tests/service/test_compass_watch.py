@@ -262,10 +262,18 @@ def test_a_finding_says_what_to_do_and_fits_a_statustext() -> None:
     watch = CompassWatch(WatchConfig())
     found(lambda t: glance(t, heading(t, 1.0, scale=1.5)), 60.0, watch)
     finding = watch.findings[0]
-    assert finding.severity == "bad"
     assert "50 % stronger" in finding.text
     assert finding.remedy
     assert len(finding.short) <= 50
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("limits", "severity"), [(2.4, "warning"), (2.6, "bad")])
+def test_two_and_a_half_times_the_limit_is_bad(limits: float, severity: str, sign: float) -> None:
+    watch = CompassWatch(WatchConfig())
+    scale = 1.0 + sign * 0.01 * limits * watch.limits.field_percent
+    assert found(lambda t: glance(t, heading(t, 1.0, scale=scale)), watch=watch) == {"field1"}
+    assert watch.findings[0].severity == severity
 
 
 def test_nothing_is_learnt_across_a_silence() -> None:

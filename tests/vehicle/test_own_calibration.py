@@ -147,10 +147,10 @@ def test_px4_is_started_its_texts_passed_on_in_words_and_left_when_done() -> Non
         *said("progress <100>", "calibration done: mag"),
     ) as link:
         assert run(Machine(of_px4), link, on_show=shown.append) == ""
-    told = [show.text for show in shown]
-    assert told[0] == "Hold it still on its left side (or level, as it stands). 0 %, 4 of 6 sides done."
-    assert "Now turn it round slowly, this side down. 0 %, 4 of 6 sides done." in told
-    assert "Go on turning it round. 75 %, 4 of 6 sides done." in told
+    told = {show.text: dict(show.data) for show in shown}
+    assert shown[0].text == "Hold it still on its left side (or level, as it stands). 0 %, 4 of 6 sides done."
+    for text in ("Now turn it round slowly, this side down. 0 %", "Go on turning it round. 75 %"):
+        assert told[f"{text}, 4 of 6 sides done."]["round_deg"] == 360.0
     assert "This side is done: take another. 75 %, 5 of 6 sides done." in told
 
 

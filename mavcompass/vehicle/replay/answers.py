@@ -33,7 +33,6 @@ from mavcompass.vehicle.links.autopilot import SaidMessage
 from mavcompass.vehicle.replay.tlog import RecordingClock, tlog_frames
 from mavcompass.vehicle.wire import decode
 
-_MESSAGE_INTERVAL = 244
 # A request for the recorded rate is not refused because the recording lost some messages.
 _RATE_SLACK = 1.25
 _UNASKED = 65_535
@@ -187,9 +186,8 @@ class Answers:
             case MavCmd.GET_MESSAGE_INTERVAL:
                 answer = self._interval(number)
             case MavCmd.REQUEST_MESSAGE:
-                answer = (
-                    self._interval(second) if number == _MESSAGE_INTERVAL else self._last_said.get(number)
-                )
+                of_a_rate = number == message_id(MessageInterval)
+                answer = self._interval(second) if of_a_rate else self._last_said.get(number)
         if answer is not None:
             result = MavResult.ACCEPTED
         self._say(CommandAck(command, int(result)), port, now_s)

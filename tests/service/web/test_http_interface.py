@@ -129,7 +129,8 @@ def test_the_recording_of_a_calibration_is_read_like_any_other(asked: Asked, tmp
     assert explained["document"]["schema"] == "mavcompass.gap/1"
     page = running.stranger.get(f"/api/history/{explained['history_entry']}/report")
     assert page.status_code == 200 and "gap" in page.text
-    assert running.client.get("/api/history?kind=gap").json()["entries"][0]["summary"]
+    entry = running.client.get("/api/history?kind=gap").json()["entries"][0]
+    assert entry["summary"] and entry["ok"]
 
 
 def test_one_point_is_asked_for_with_its_heading(running: RunningService) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from mavcompass import messages as mav
 from mavcompass.earth_field import EarthField
+from mavcompass.heading.live import Heading
 from mavcompass.heading.true_north import NorthSeen
 from mavcompass.messages import Incoming
 from mavcompass.procedure.vehicle_state import VehicleIdentity
@@ -112,6 +113,18 @@ def test_a_file_that_cannot_be_read_is_begun_anew(content: str, tmp_path: Path) 
     drive.go(600)
     NorthKeeper(path).learn(drive.view, 1)
     assert len(json.loads(path.read_text())) == 1
+
+
+@pytest.mark.parametrize(("true_rad", "true_deg", "sigma_deg"), [(None, None, None), (0.25, 14.324, 1.621)])
+def test_a_datagram_tells_a_heading_in_degrees(
+    true_rad: float | None, true_deg: float | None, sigma_deg: float | None
+) -> None:
+    sigma_rad = None if true_rad is None else 0.0283
+    heading = Heading(4.5, 20.0, 2, 1.5, true_rad, 0.02, (200.0, 0.0, 400.0), true_sigma_rad=sigma_rad)
+    assert json.loads(datagram(heading)) == {
+        "boot_s": 20.0, "compass": 2, "magnetic_deg": 85.944, "sigma_deg": 1.146, "true_deg": true_deg,
+        "true_sigma_deg": sigma_deg,
+    }  # fmt: skip
 
 
 def test_drives_are_joined_by_inverse_variance_and_fade_with_distance() -> None:

@@ -177,10 +177,14 @@ def test_commands_are_answered_as_the_recording_has_it(tlog: Path, command: Comm
 
 def test_rates_can_be_asked_for(tlog: Path) -> None:
     with open_link(str(tlog)) as link:
-        question = CommandLong(1, 1, MavCmd.GET_MESSAGE_INTERVAL, 0, float(message_id(RawImu)))
-        answer = ask(link, question, MessageInterval)
-        assert isinstance(answer, MessageInterval)
-        assert answer.interval_us == pytest.approx(100_000, rel=0.05)
+        of, how = float(message_id(RawImu)), float(message_id(MessageInterval))
+        for question in (
+            CommandLong(1, 1, MavCmd.GET_MESSAGE_INTERVAL, 0, of),
+            CommandLong(1, 1, MavCmd.REQUEST_MESSAGE, 0, how, of),
+        ):
+            answer = ask(link, question, MessageInterval)
+            assert isinstance(answer, MessageInterval) and answer.message_id == of
+            assert answer.interval_us == pytest.approx(100_000, rel=0.05)
 
 
 def test_a_message_can_be_asked_for_again(tlog: Path) -> None:
