@@ -82,12 +82,15 @@ def headings(
     start = run(Machine(lambda context: _begin(context, source, instance, rate_hz, system)), link)
     try:
         on_notes(remarks_said(start.identity.autopilot, start.parameters, instance))
-        if two_axis and start.world is None:
-            raise Refused(
-                "A two-axis heading needs the Earth's field, and the vehicle does not know its place.",
-                "Wait for its GPS, or use all three axes.",
-            )
-        yield from _stream(link, source, start, instance, two_axis)
+        flat = None
+        if two_axis:
+            if start.world is None:
+                raise Refused(
+                    "A two-axis heading needs the Earth's field, and the vehicle does not know its place.",
+                    "Wait for its GPS, or use all three axes.",
+                )
+            flat = TwoAxisCompass(start.world.total_mgauss, start.world.inclination_rad)
+        yield from _stream(link, source, start, instance, flat)
     finally:
         _restore(link, start)
 
@@ -121,14 +124,11 @@ def _begin(
     return _Start(identity, rates, parameters, world, convergence)
 
 
-def _stream(link: Link, source: str, start: _Start, instance: int, two_axis: bool) -> Iterator[LiveHeading]:
+def _stream(
+    link: Link, source: str, start: _Start, instance: int, flat: TwoAxisCompass | None
+) -> Iterator[LiveHeading]:
     compasses: dict[int, LiveCompass] = {}
     level, agreement = Level(start.identity.kind), Agreement()
-    flat = (
-        TwoAxisCompass(start.world.total_mgauss, start.world.inclination_rad)
-        if two_axis and start.world is not None
-        else None
-    )
     chosen: type[mav.Message] | None = None
     heard_s, learnt_s = link.now(), -math.inf
     while True:

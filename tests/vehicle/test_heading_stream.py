@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import islice
 
@@ -10,8 +11,20 @@ import numpy as np
 import pytest
 
 from mavcompass.earth_field import earth_field
+from mavcompass.enums import MavCmd
 from mavcompass.errors import LinkLost, Refused
-from mavcompass.messages import GlobalPositionInt, ScaledImu2, ScaledImu3, SystemTime
+from mavcompass.messages import (
+    CommandLong,
+    GlobalPositionInt,
+    Message,
+    RawImu,
+    ScaledImu,
+    ScaledImu2,
+    ScaledImu3,
+    SystemTime,
+    message_id,
+)
+from mavcompass.simulation.physics.hand import HandMove
 from mavcompass.simulation.physics.motion import Drive
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.heading_stream import LiveHeading, headings
@@ -22,9 +35,15 @@ class Listening(SimulatedLink):
     """Leave out messages of these kinds, the date before the place, and all after a time."""
 
     left_out: tuple[type, ...] = ()
-    knows_its_place = False
+    knows_its_place = no_third = False
+    on_sent: Callable[[CommandLong], object] = staticmethod(lambda _: None)
     silent_from_s = math.inf
     unix_s = 0.0
+
+    def send(self, message: Message) -> None:
+        if isinstance(message, CommandLong) and message.command == MavCmd.SET_MESSAGE_INTERVAL:
+            self.on_sent(message)
+        super().send(message)
 
     def receive(self, timeout_s: float):  # type: ignore[no-untyped-def]
         heard = super().receive(timeout_s)
@@ -35,11 +54,13 @@ class Listening(SimulatedLink):
             return None
         if self.unix_s and isinstance(heard.message, SystemTime):
             return replace(heard, message=replace(heard.message, time_unix_usec=round(1e6 * self.unix_s)))
+        if self.no_third and isinstance(heard.message, RawImu):
+            return replace(heard, message=replace(heard.message, zmag=0))
         return heard
 
 
-def listening(kind: str = "rover") -> Listening:
-    return Listening(SimulatedAutopilot(kind, seed=2, calibration="exact"), "sim:" + kind)
+def listening(kind: str = "rover", armed: bool = True) -> Listening:
+    return Listening(SimulatedAutopilot(kind, seed=2, calibration="exact", armed=armed), "sim:" + kind)
 
 
 def first(link: SimulatedLink, count: int = 20, **options: bool) -> list[LiveHeading]:
@@ -102,9 +123,30 @@ def test_what_the_receiver_of_one_that_drives_shows_of_north_is_looked_at_every_
     assert abs(off_deg(found, link)) < 3.0
 
 
-def test_two_axes_know_the_world_and_need_no_third() -> None:
-    link = listening()
-    assert abs(off_deg(first(link, 60, two_axis=True)[-1], link)) < 3.0
+@pytest.mark.parametrize("two_axis", [True, False])
+def test_two_axes_know_the_world_and_need_no_third(two_axis: bool) -> None:
+    link = listening(armed=False)
+    link.no_third = True
+    link.autopilot.turn_by_hand([HandMove(0.0, 3.0, 60.0, roll_rad=0.0, pitch_rad=0.3)])  # type: ignore[attr-defined]
+    assert (abs(off_deg(first(link, 100, two_axis=two_axis)[-1], link)) < 3.0) is two_axis
+
+
+@pytest.mark.parametrize(
+    ("kind", "instance", "asked_hz"),
+    [
+        ("rover", 1, {RawImu: 10.0, ScaledImu2: 2.0, ScaledImu3: 2.0}),
+        ("rover", 2, {RawImu: 10.0, ScaledImu2: 10.0, ScaledImu3: 2.0}),
+        ("px4-copter", 1, {ScaledImu: 10.0, ScaledImu2: 2.0}),
+    ],
+)
+def test_the_compass_that_is_asked_for_comes_often_and_those_beside_it_twice_a_second(
+    kind: str, instance: int, asked_hz: dict[type[Message], float]
+) -> None:
+    asked = dict[int, float]()
+    link = listening(kind)
+    link.on_sent = lambda sent: asked.setdefault(int(sent.param1), 1e6 / (sent.param2 or math.inf))
+    next(headings(link, "sim:x", instance))
+    assert {told: asked.get(message_id(told)) for told in asked_hz} == pytest.approx(asked_hz)
 
 
 def test_two_axes_are_refused_where_the_place_is_unknown() -> None:
