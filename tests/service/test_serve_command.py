@@ -52,6 +52,7 @@ def test_it_serves_tells_the_manager_stays_small_and_ends_on_sigterm(
     assert process.wait(20.0) == 0
     while heard[-1] != "STOPPING=1":
         heard.append(manager.recv(1000).decode())
+    assert [line for line in heard if line.startswith("STATUS=")][-1].endswith(": vehicle heard")
     _, complaints = process.communicate()
     assert "Traceback" not in complaints
 

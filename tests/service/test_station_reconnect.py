@@ -17,6 +17,7 @@ from serving import serving
 
 from mavcompass import messages as mav
 from mavcompass.enums import MavCmd
+from mavcompass.service.run import link_opener
 from mavcompass.service.station import Station
 from mavcompass.service.work.clock import Schedule
 from mavcompass.service.work.history import History
@@ -43,8 +44,6 @@ class Vehicle:
 
 @pytest.fixture
 def tcp_station(tmp_path: Path) -> Callable[[int], Station]:
-    from mavcompass.service.run import link_opener
-
     def make(port: int) -> Station:
         config = configured(tmp_path, f"tcp:127.0.0.1:{port}")
         station = Station(config, History(tmp_path / "history.db"), link_opener(config))
@@ -185,6 +184,12 @@ def test_cuts_and_reboots_are_bridged_and_no_calibration_result_is_missed(
     assert figures.written == 1
     assert figures.reconnects >= 4
     assert figures.slowest_reconnect_s < 2.0
+
+
+def test_a_simulated_vehicle_that_is_opened_again_is_the_same(tmp_path: Path) -> None:
+    opener = link_opener(configured(tmp_path, "sim:rover,seed=2"))
+    link = opener()
+    assert isinstance(link, SimulatedLink) and opener() is link and link.name == "sim:rover,seed=2"
 
 
 def test_things_are_due_again_when_the_clock_begins_anew() -> None:

@@ -101,6 +101,11 @@ def test_a_dwell_ends_as_soon_as_the_heading_is_sure_enough() -> None:
     assert dwelt(sureness=lambda a, b: 0.0, resting=False)[0] == pytest.approx(1.7, abs=0.09)
 
 
+def test_twice_a_second_the_mover_is_told_how_much_longer_to_hold_it() -> None:
+    _, mover, _ = dwelt()
+    assert mover.held == pytest.approx([1.1, 0.6, 0.1], abs=0.12)
+
+
 def test_noisy_sensors_are_stood_still_for_longer() -> None:
     def noisy() -> Callable[[float], mav.Incoming]:
         chance = random.Random(7)
