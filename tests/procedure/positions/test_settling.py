@@ -29,7 +29,7 @@ def imu(time_s: float, yaw_rate_deg_s: float, roll_rate_deg_s: float) -> mav.Inc
 
 
 def settle(
-    yaw_rate_deg_s: float, roll_rate_deg_s: float, until_s: float = math.inf
+    yaw_rate_deg_s: float, roll_rate_deg_s: float, until_s: float = math.inf, tilts_until_s: float = math.inf
 ) -> tuple[float, bool, list[str]]:
     """Move a vehicle until a time, then keep it still: how long it waits, whether it rests, what is said."""
     rest = Rest()
@@ -47,7 +47,8 @@ def settle(
         time_s = 1.0 + 0.04 * step
         sway = math.sin(time_s * 2.0)
         moving = time_s < 1.0 + until_s
-        rates = (yaw_rate_deg_s, roll_rate_deg_s * sway) if moving else (0.0, 0.0)
+        tilts = roll_rate_deg_s * sway if time_s < 1.0 + tilts_until_s else 0.0
+        rates = (yaw_rate_deg_s, tilts) if moving else (0.0, 0.0)
         shown += [action.text for action in machine.step(imu(time_s, *rates)) if isinstance(action, Show)]
         if machine.done:
             break
@@ -72,6 +73,9 @@ def test_what_tilts_to_and_fro_is_given_more_time() -> None:
     assert shown == ["Waiting until it stands still: it still rocks."]
     waited_s, rests, _ = settle(0.0, 60.0)
     assert not rests and 8.8 < waited_s < 10.5
+    # What has tilted, and hunts for its heading since, is given no more than that.
+    waited_s, rests, _ = settle(6.0, 60.0, tilts_until_s=2.5)
+    assert not rests and 3.0 < waited_s < 5.0
 
 
 def test_a_dwell_that_was_not_heard_begins_anew() -> None:

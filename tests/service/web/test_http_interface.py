@@ -226,11 +226,24 @@ def test_metrics_are_gathered_when_they_are_asked_for(quiet: RunningService) -> 
 
 
 def test_what_is_not_there_is_told(quiet: RunningService) -> None:
-    for path in ("/api/history/99", "/api/history/99/report", "/api/task", "/api/gap", "/web/nothing"):
+    most = 2**53  # what is beyond it no reader of JSON knows exactly
+    numbers = ("/api/history/1", f"/api/history/{most}", f"/api/history/{most}/report")
+    for path in (*numbers, "/api/task", "/api/gap", "/web/nothing"):
         answer = quiet.client.get(path)
         assert answer.status_code == 404 and answer.json()["error"], path
-    for path in ("/api/history/x", "/api/history/-1", "/api/history?limit=0", "/api/history?kind=x"):
-        assert quiet.client.get(path).status_code == 422, path
+    for what in (
+        "/x",
+        "/0",
+        f"/{most + 1}",
+        "?limit=0",
+        "?limit=201",
+        "?kind=x",
+        "?device=-1",
+        f"?device={most + 1}",
+    ):
+        assert quiet.client.get(f"/api/history{what}").status_code == 422, what
+    for device in (0, most):
+        assert quiet.client.get(f"/api/history?device={device}").status_code == 200
     for path in ("/api/undo", "/api/gap"):
         assert quiet.client.post(path, json={"entry": 99}).status_code == 404
     assert quiet.client.post("/api/state").status_code == 405

@@ -196,3 +196,5 @@ def test_old_and_new_stand_side_by_side_with_a_card_where_the_field_is_known() -
     assert [row["heading_deg"] for row in known["deviation"]] == [15.0 * k for k in range(24)]
     assert {row["old_error_deg"] for row in known["deviation"]} == {0.0}
     assert (known["horizontal_mgauss"], known["before_deg"]) == (200.0, None)
+    assert np.shape(known["old_circle"]) == (36, 2)  # every ten degrees, forward and right
+    assert np.hypot(*np.transpose(known["old_circle"])) == pytest.approx(np.full(36, 200.0), abs=0.1)
