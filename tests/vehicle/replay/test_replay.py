@@ -335,7 +335,8 @@ def test_a_track_is_played_as_its_vehicle_would_speak(play_track: Callable[[Trac
     assert [m.time_usec for m in images] == [30_000_000 + 20_000 * i for i in range(200)]
     assert len(kind_of(heard, ScaledImu2)) == 200
     assert {(i.system, i.component) for i in heard} == {(1, 1)}
-    assert kind_of(heard, Heartbeat)[0] == Heartbeat(MavType.QUADROTOR, 3, 1, 0, 3)
+    assert kind_of(heard, Heartbeat) == [Heartbeat(MavType.QUADROTOR, 3, 1, 0, 3)] * 5  # one a second
+    assert kind_of(heard, ServoOutputRaw)[0].time_usec == 30_000_000
     assert {m.current_battery for m in kind_of(heard, SysStatus)} == {1250}
     assert {(m.servo1_raw, m.servo2_raw) for m in kind_of(heard, ServoOutputRaw)} == {(1250, 1500)}
     assert kind_of(heard, GlobalPositionInt)[0].lat == 470_000_000
