@@ -52,6 +52,13 @@ def test_a_mode_is_asked_for_as_its_autopilot_counts(
     assert context.outbox == [Send(mav.CommandLong(7, 1, MavCmd.DO_SET_MODE, 0, 1.0, main, sub))]
 
 
+def test_what_does_not_know_its_place_is_not_told_to_move() -> None:
+    state = VehicleState()
+    assert state.speed_mps == 0.0
+    state.hear(mav.Incoming(1.0, 1, 1, mav.GlobalPositionInt(vx=300, vy=-400)))
+    assert state.speed_mps == pytest.approx(5.0)
+
+
 def test_while_it_changes_both_modes_are_ours_and_then_the_new_one_alone() -> None:
     state, foreign = VehicleState(heard_s=0.0), list[bool]()
     modes = ModeKeeper(state, "ardupilot")

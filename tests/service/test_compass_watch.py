@@ -199,7 +199,8 @@ def test_a_gyro_drift_or_noise_is_not_blamed_on_the_compass_however_gently_it_tu
     [
         ("boat", 20.0, 3.0, {"course1"}),
         ("boat", 5.0, 3.0, set()),
-        ("boat", 20.0, 0.5, set()),
+        ("boat", 20.0, 1.6, {"course1"}),
+        ("boat", 20.0, 1.4, set()),
         ("boat", 180.0, 3.0, set()),  # it drives backwards
         ("copter", 60.0, 8.0, set()),  # flies sideways as it likes
         ("sub", 60.0, 1.6, set()),

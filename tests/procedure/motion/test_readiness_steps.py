@@ -34,7 +34,7 @@ class Vehicle:
         self.result, self.takes_modes, self.arms_after_s = MavResult.ACCEPTED, True, 0.0
         self.commands: list[tuple[float, mav.CommandLong]] = []
         self.shown: list[str] = []
-        self.wanted_m, self.coming_s = 0.0, math.inf
+        self.wanted_m, self.coming_s, self.climbs_in = 0.0, math.inf, 0
         self.tell()
         self.readiness = Readiness(
             self.identity, self.state, ModeKeeper(self.state, autopilot), Permissions(**allowed)
@@ -62,7 +62,7 @@ class Vehicle:
             if self.mode in (LAND, CopterMode.LAND):
                 self.coming_s = self.now_s + self.lands_in_s
         elif asked.command == MavCmd.NAV_TAKEOFF and self.result == MavResult.ACCEPTED:
-            self.wanted_m = math.inf
+            self.wanted_m, self.mode = math.inf, self.climbs_in or self.mode
         elif asked.command == MavCmd.COMPONENT_ARM_DISARM:
             if asked.param1 and self.result == MavResult.ACCEPTED:
                 self.coming_s = self.now_s + self.arms_after_s
@@ -143,6 +143,16 @@ def test_a_climb_has_forty_seconds(climbs_mps: float, is_up: bool) -> None:
     # What may be in the air all the same is told to land.
     vehicle.is_put_back()
     assert vehicle.shown[-1] == "Landing."
+
+
+@pytest.mark.parametrize(("climbs_in", "lands"), [(TAKEOFF, True), (HOLD, True), (3 << 16, False)])
+def test_a_px4_that_has_not_got_up_lands_unless_a_pilot_flies_it(climbs_in: int, lands: bool) -> None:
+    vehicle = Vehicle(autopilot="px4", takeoff_m=10.0)
+    vehicle.mode, vehicle.climbs_mps, vehicle.climbs_in = 7 << 16, 0.01, climbs_in
+    vehicle.tell()
+    assert isinstance(vehicle.makes_ready().error, Refused)
+    vehicle.is_put_back()
+    assert ("Landing." in vehicle.shown) is lands
 
 
 def test_a_take_off_that_is_refused_is_not_waited_for_and_says_why() -> None:
