@@ -168,7 +168,8 @@ class OwnHeading:
                     continue
                 if self.worst_deg <= _GOOD_DEG or (self.set_aside and math.isfinite(self.worst_deg)):
                     return
-                if 2.0 * self.wander_deg > _GOOD_DEG and abs(self.error_deg) <= _STILL_WORTH_DEG:
+                as_good_as_it_gets = abs(self.error_deg) <= _STILL_WORTH_DEG or not self._has_a_way
+                if 2.0 * self.wander_deg > _GOOD_DEG and as_good_as_it_gets:
                     return
                 if self._context.now - began_s > _SLOPE_AT_LEAST_S * self._slowness + 1.0:
                     left_s = self._patience_s() - (self._context.now - began_s)

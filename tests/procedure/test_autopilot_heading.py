@@ -248,6 +248,29 @@ def test_an_estimator_is_told_to_follow_its_compass_and_one_that_flies_where_it_
     assert bool(held) is told
 
 
+@pytest.mark.parametrize(
+    ("off_deg", "wander_deg", "waits"),
+    [(4.0, 0.02, True), (4.0, 1.5, False), (0.1, 1.5, False)],
+)
+def test_a_heading_that_goes_to_and_fro_and_that_nothing_helps_is_not_waited_for(
+    off_deg: float, wander_deg: float, waits: bool
+) -> None:
+    """This autopilot takes a new yaw over only where it is disarmed."""
+    own = watched(np.random.default_rng(3), off_deg, wander_deg, 0.05)
+    own.before_deg = off_deg
+    vars(own.desk).update(
+        context=Context(),
+        identity=SimpleNamespace(kind="rover"),
+        state=SimpleNamespace(armed=True, ekf=None),
+        rest=SimpleNamespace(
+            time_s=20.0, for_s=lambda: 0.0, detector=SimpleNamespace(averaging_s=lambda *_: 0.0)
+        ),
+    )
+    machine = Machine(lambda _: own.settle())
+    machine.step(Tick(0.0))
+    assert machine.done is not waits
+
+
 @pytest.mark.parametrize("noise_deg", [0.1, 0.9])
 @pytest.mark.parametrize("wander_deg", [0.3, 1.0, 3.0])
 def test_how_far_it_wanders_is_told_whatever_the_noise(wander_deg: float, noise_deg: float) -> None:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavcompass.correction import IDENTITY, FieldCorrection, MotorSource
-from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back, rotvec_to_matrix
+from mavcompass.frames import FloatArray, euler_to_matrix, rotate_back, rotvec_to_matrix, wrap_pi
 from mavcompass.gap.result import Iron
 from mavcompass.gap.tables import usual
 from mavcompass.simulation.effects.causes.timing import LONGEST_LAG_S, late_field, low_pass
@@ -161,7 +161,7 @@ def yaw_starts(prior: Prior) -> list[FloatArray]:
         return [prior.mean]
     starts = np.tile(prior.mean, (usual.yaw.starts, 1))
     starts[:, constant] += np.arange(usual.yaw.starts) * 2.0 * np.pi / usual.yaw.starts
-    starts[:, constant] = (starts[:, constant] + np.pi) % (2.0 * np.pi) - np.pi
+    starts[:, constant] = wrap_pi(starts[:, constant])
     return list(starts)
 
 

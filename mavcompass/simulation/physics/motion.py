@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mavcompass.correction import Vector
+from mavcompass.frames import wrap_angle
 from mavcompass.simulation.physics.hand import Hand, HandMotion
 from mavcompass.simulation.physics.noise import NoiseTape, generator
 from mavcompass.simulation.physics.profiles import VehicleProfile
@@ -189,7 +190,7 @@ class Body:
         before = self.yaw_rate_radps
         self.yaw_rate_radps = before + acceleration * dt
         yaw = self.yaw_rad + 0.5 * (before + self.yaw_rate_radps) * dt
-        self.yaw_rad = (yaw + math.pi) % (2.0 * math.pi) - math.pi
+        self.yaw_rad = wrap_angle(yaw)
 
     @property
     def landed_on_ground(self) -> bool:
