@@ -171,9 +171,7 @@ class _Drive:
     def _step(self, event: Event) -> None:
         # A message may have waited while a stop or an answer was taken in: time must not go back for it.
         self._last_s = max(self._last_s, event.time_s)
-        if event.time_s < self._last_s:
-            event = replace(event, time_s=self._last_s)
-        self._do(self.machine.step(event))
+        self._do(self.machine.step(replace(event, time_s=self._last_s)))
         if self.machine.context.system:
             self.link.identity = self.link.identity.aboard(self.machine.context.system)
 

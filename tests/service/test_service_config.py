@@ -92,6 +92,33 @@ def test_a_mistake_is_told_with_its_line(text: str, line: int, words: str) -> No
     assert words in told
 
 
+@pytest.mark.parametrize(
+    ("key", "least", "most"),
+    [
+        ("vehicle.system", 0, 255),
+        ("vehicle.rate_hz", 1.0, 1000.0),
+        ("vehicle.speed", 0.01, 1000.0),
+        ("mavlink.heading_hz", 0.0, 50.0),
+        ("watch.field_percent", 0.5, 100.0),
+        ("watch.dip_deg", 0.2, 90.0),
+        *((f"watch.{name}_deg", 0.2, 180.0) for name in ("agreement", "gyro", "course", "current", "step")),
+        ("watch.age_days", 0.01, 36500.0),
+    ],
+)
+def test_a_number_is_taken_within_its_ends_and_not_beyond(key: str, least: float, most: float) -> None:
+    table, name = key.split(".")
+    step = 1 if isinstance(least, int) else 0.001
+    for value in (least, most):
+        assert getattr(getattr(parse_config(f"[{table}]\n{name} = {value}"), table), name) == value
+    for value in (least - step, most + step):
+        assert f"between {least:g} and {most:g}" in mistakes(f"[{table}]\n{name} = {value}")
+
+
+def test_a_host_may_have_a_name_of_one_letter_and_none_without() -> None:
+    assert parse_config('[http]\nallowed_hosts = ["b"]').http.allowed_hosts == ("b",)
+    assert "not empty" in mistakes('[http]\nallowed_hosts = [""]')
+
+
 def test_text_that_is_no_toml_is_told_with_its_line() -> None:
     assert "line 2" in mistakes('[vehicle]\nsource "x"\n')
     assert "too deep" in mistakes("a = " + "[" * 2000)

@@ -7,13 +7,14 @@ import os
 import signal
 import threading
 import time
+from dataclasses import replace
 
 import pytest
 from dialogue import HEARTBEAT, Expect, MemoryVehicle, Reply, Said, Silence, vehicle_script
 
 from mavcompass.enums import MavType
 from mavcompass.errors import LinkLost, NoReply, Refused, WriteFailed
-from mavcompass.messages import CommandAck, CommandLong, Heartbeat, ParamSet, ParamValue, Statustext
+from mavcompass.messages import CommandAck, CommandLong, Heartbeat, Incoming, ParamSet, ParamValue, Statustext
 from mavcompass.procedure.script import Ask, Context, Machine, Script, Show, ask, pause, request
 from mavcompass.vehicle import stopping
 from mavcompass.vehicle.driver import run
@@ -298,3 +299,26 @@ def test_an_answer_that_a_flood_drowns_is_not_put_down_to_a_weak_radio() -> None
     assert "more has come on udpin:flooded than this computer could read" in caught.value.remedy
     with pytest.raises(NoReply, match="radios"):
         run(Machine(write), SimulatedLink(MemoryVehicle(), "sim:mute"))
+
+
+def test_a_message_that_has_waited_does_not_turn_time_back() -> None:
+    times: list[float] = []
+
+    class Late(SimulatedLink):
+        """Give each message as late as a busy computer does."""
+
+        def receive(self, timeout_s: float) -> Incoming | None:
+            incoming = super().receive(timeout_s)
+            return None if incoming is None else replace(incoming, time_s=incoming.time_s - 0.3)
+
+    def listen(context: Context) -> Script[None]:
+        context.listeners.append(lambda heard: times.append(heard.time_s))
+        yield from pause(context, 1.0)
+
+    vehicle = MemoryVehicle()
+    for k in range(1, 5):
+        vehicle.say(Statustext(text="hello"), after_s=0.2 * k)
+    with Late(vehicle) as link:
+        start_s = link.now()
+        run(Machine(listen), link)
+    assert len(times) > 4 and times == sorted(times) and times[0] >= start_s
