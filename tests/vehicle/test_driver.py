@@ -211,6 +211,25 @@ def test_a_vehicle_that_falls_silent_is_lost_and_the_undo_is_tried() -> None:
     assert caught.value.exit_code == 3 and caught.value.remedy
 
 
+@pytest.mark.parametrize(("last_s", "lost_s"), [(-1.0, 5.0), (3.0, 8.0)])
+def test_silence_counts_from_the_last_message_or_the_beginning(last_s: float, lost_s: float) -> None:
+    ended_s = list[float]()
+
+    def listen(context: Context) -> Script[None]:
+        context.system, context.component = 1, 1
+        try:
+            yield from pause(context, 60.0)
+        finally:
+            ended_s.append(context.now)
+
+    vehicle = MemoryVehicle(beats=False)
+    if last_s > 0.0:
+        vehicle.say(HEARTBEAT, after_s=last_s)
+    with SimulatedLink(vehicle) as link, pytest.raises(LinkLost, match="said nothing for 5 s"):
+        run(Machine(listen), link)
+    assert ended_s == pytest.approx([lost_s + 0.03], abs=0.04)
+
+
 @pytest.mark.parametrize(("system", "component"), [(2, 1), (1, 191)])
 def test_what_others_say_does_not_keep_a_silent_vehicle_alive(system: int, component: int) -> None:
     class Crowd(MemoryVehicle):

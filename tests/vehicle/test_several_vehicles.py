@@ -132,6 +132,19 @@ def test_one_counter_is_one_autopilot_whatever_its_clock_says() -> None:
     assert not twins.statistics.shared
 
 
+@pytest.mark.parametrize(("apart_ms", "shared"), [(100, set()), (700, set()), (1500, {1}), (30_000, {1})])
+def test_messages_that_overtake_each_other_are_of_one_and_more_than_a_second_apart_of_two(
+    apart_ms: int, shared: set[int]
+) -> None:
+    """A link may deliver a message late by a second. The sequence numbers go back and forth each time."""
+    statistics = LinkStatistics()
+    for at in range(40):
+        for ahead in (1, 0):
+            boot_ms = 100_000 + 250 * at + apart_ms * ahead
+            statistics.count(1, 1, (2 * at + ahead) & 0xFF, Attitude(time_boot_ms=boot_ms))
+    assert statistics.shared == shared
+
+
 @pytest.mark.parametrize(("wanted", "told"), [(None, 1), (1, 0)])
 def test_another_vehicle_that_appears_is_told_once(wanted: int | None, told: int) -> None:
     shown: list[str] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 from collections import Counter
@@ -46,13 +47,16 @@ from mavcompass.messages import (
 )
 from mavcompass.track import InForce, MagSeries, Series, Track
 from mavcompass.vehicle.link import Link
+from mavcompass.vehicle.links.autopilot import SaidMessage
 from mavcompass.vehicle.links.faults import Faults, FaultyRecording
 from mavcompass.vehicle.opening import open_link
 from mavcompass.vehicle.replay import Alterations, ReplayedLink, replayed_autopilot
+from mavcompass.vehicle.replay import tlog as tlog_room
 from mavcompass.vehicle.replay.replayed import ReplayedAutopilot
 from mavcompass.vehicle.replay.tlog import LONGEST_PAUSE_S
 from mavcompass.vehicle.replay.track_messages import track_contents, track_messages
 from mavcompass.vehicle.transport import Tcp
+from mavcompass.vehicle.wire import FrameWriter
 
 VEHICLE = Heartbeat(type=MavType.GROUND_ROVER, autopilot=MavAutopilot.ARDUPILOTMEGA)
 STATION = Heartbeat(type=MavType.GCS, autopilot=MavAutopilot.INVALID)
@@ -187,6 +191,28 @@ def test_rates_can_be_asked_for(tlog: Path) -> None:
             assert answer.interval_us == pytest.approx(100_000, rel=0.05)
 
 
+@pytest.mark.parametrize(
+    ("number", "told"),
+    [
+        (0, MessageInterval(0, 750_000)),  # the heartbeat's number
+        (27, MessageInterval(27, 100_000)),
+        (65_535, MessageInterval(65_535, 0)),
+        (65_536, None),  # for which that message has no room
+        (-1, None),
+        (math.nan, None),
+    ],
+)
+def test_the_rate_of_any_message_is_told_that_can_be_named(
+    tlog: Path, number: float, told: MessageInterval | None
+) -> None:
+    with open_link(str(tlog)) as link:
+        link.send(CommandLong(1, 1, MavCmd.GET_MESSAGE_INTERVAL, 0, number))
+        heard = [i.message for i in all_of(link)]
+    assert [m for m in heard if isinstance(m, MessageInterval)] == ([] if told is None else [told])
+    result = MavResult.UNSUPPORTED if told is None else MavResult.ACCEPTED
+    assert CommandAck(MavCmd.GET_MESSAGE_INTERVAL, result) in heard
+
+
 def test_a_message_can_be_asked_for_again(tlog: Path) -> None:
     with open_link(str(tlog)) as link:
         while link.now() < 1.05:
@@ -212,6 +238,20 @@ def test_damage_costs_only_what_it_hits(tlog: Path) -> None:
     with open_link(str(tlog)) as link:
         images = [i for i in link if isinstance(i.message, RawImu)]
     assert 28 <= len(images) < 30
+
+
+def test_a_frame_inside_a_message_is_no_message_wherever_the_file_is_cut_into_pieces(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from pymavlink.dialects.v20 import ardupilotmega as theirs
+
+    inner = bytes(8) + FrameWriter(1).write(VEHICLE, 1, 1)
+    packer = theirs.MAVLink(None, 1, 1)
+    outer = theirs.MAVLink_data64_message(0, 64, inner.rjust(64, b"\1")).pack(packer)
+    path = tmp_path / "a.tlog"
+    path.write_bytes(b"".join((1_700_000_000_000_000 + n).to_bytes(8, "big") + outer for n in range(200)))
+    monkeypatch.setattr(tlog_room, "_PIECE", 1)  # as short as they can be
+    assert [frame.raw for _, frame in tlog_room.tlog_frames(path)] == [outer] * 200
 
 
 @pytest.mark.parametrize(
@@ -257,6 +297,27 @@ def test_the_vehicles_clock_can_jump(tlog: Path) -> None:
     with ReplayedLink(recorded, "jump") as link:
         times = [i.message.time_usec for i in link if isinstance(i.message, RawImu)]
     assert np.diff(times).min() == -4_900_000 and (np.diff(times) < 0).sum() == 1
+
+
+@pytest.mark.parametrize(
+    ("by_s", "recorded", "altered"),
+    [
+        (1.5, RawImu(time_usec=7), RawImu(time_usec=1_500_007)),
+        (1.5, Attitude(time_boot_ms=7), Attitude(time_boot_ms=1507)),
+        (-1.5, Attitude(time_boot_ms=1507), Attitude(time_boot_ms=7)),
+        (-1.5, Attitude(time_boot_ms=1000), Attitude(time_boot_ms=0)),  # no clock shows less
+        (1.0, Attitude(time_boot_ms=2**32 - 1), Attitude(time_boot_ms=999)),  # all the same is to be sent
+        (1.0, RawImu(time_usec=2**64 - 1), RawImu(time_usec=999_999)),
+        (1.5, VEHICLE, VEHICLE),
+        (0.0, Attitude(time_boot_ms=7), Attitude(time_boot_ms=7)),
+    ],
+)
+def test_a_clock_that_jumps_begins_anew_beyond_what_it_has_room_for(
+    by_s: float, recorded: Message, altered: Message
+) -> None:
+    alter = Alterations(time_jumps=((3.0, by_s),)).begin()
+    assert alter(SaidMessage(2.9, 1, 1, recorded)).message == recorded
+    assert alter(SaidMessage(3.1, 1, 1, recorded)).message == altered
 
 
 def test_the_compass_can_saturate_and_freeze(tlog: Path) -> None:
