@@ -12,6 +12,7 @@ from mavcompass.attitude.recorded import hear
 from mavcompass.compass_parameters import is_calibrated
 from mavcompass.earth_field import EarthField, earth_field_of
 from mavcompass.errors import LinkLost, NoReply, Refused
+from mavcompass.frames import wrap_two_pi
 from mavcompass.heading.compute import TwoAxisCompass, grid_convergence_rad
 from mavcompass.heading.doubt import prior_sigma_rad
 from mavcompass.heading.live import Agreement, LiveCompass
@@ -186,8 +187,8 @@ def _heading(
 ) -> LiveHeading:
     if north is None:
         return LiveHeading(boot_s, magnetic, sigma)
-    true = (magnetic + north.turn_rad) % (2.0 * math.pi)
-    grid = (true - convergence_rad) % (2.0 * math.pi)
+    true = float(wrap_two_pi(magnetic + north.turn_rad))
+    grid = float(wrap_two_pi(true - convergence_rad))
     return LiveHeading(boot_s, magnetic, math.hypot(sigma, north.sigma_rad), true, grid, north)
 
 

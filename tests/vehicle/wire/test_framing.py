@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as theirs
 
 from mavcompass.messages import Attitude, CommandAck, Heartbeat, NamedValueFloat, RawImu
-from mavcompass.vehicle.wire import FrameParser, FrameWriter, Signing, decode
+from mavcompass.vehicle.wire import Frame, FrameParser, FrameWriter, Signing, decode
 
 SAMPLE = RawImu(time_usec=123_456_789, xacc=-3, zacc=-1000, xmag=232, ymag=52, zmag=-528, temperature=4100)
 
@@ -51,6 +51,23 @@ def test_we_read_what_pymavlink_writes(version_1: bool) -> None:
     assert (frame.version, frame.system, frame.component) == (1 if version_1 else 2, 3, 9)
     assert decode(frame.message_id, frame.payload) == Attitude(5, 0.5, 0.25, 1.5)
     assert frame.raw == raw
+
+
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("number", [254, 256])  # there is no message 255
+def test_a_number_beyond_255_has_no_room_in_version_1(version: int, number: int) -> None:
+    frame = Frame(version, 0, 1, 1, number, b"\1", b"")
+    if version == 2 or number < 256:
+        (read,) = FrameParser(Counts()).feed(FrameWriter().forward(frame))
+        assert (read.version, read.message_id) == (version, number)
+    else:
+        with pytest.raises(ValueError, match="message 256 cannot be sent in MAVLink 1"):
+            FrameWriter().forward(frame)
+
+
+def test_a_message_that_nobody_knows_is_not_sent_on() -> None:
+    with pytest.raises(ValueError, match="message 60123 is not in the dialect"):
+        FrameWriter().forward(Frame(2, 0, 1, 1, 60_123, b"\1", b""))
 
 
 def test_sequence_numbers_wrap() -> None:
