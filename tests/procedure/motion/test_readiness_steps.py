@@ -32,6 +32,7 @@ class Vehicle:
         self.mode, self.armed = (int(CopterMode.GUIDED) if autopilot == "ardupilot" else HOLD), armed
         self.height_m, self.ground_m, self.climbs_mps, self.lands_in_s = 0.0, 0.0, 1.0, 5.0
         self.result, self.takes_modes, self.arms_after_s = MavResult.ACCEPTED, True, 0.0
+        self.refuses_with: tuple[str, ...] = ("Arm: too windy",)
         self.commands: list[tuple[float, mav.CommandLong]] = []
         self.shown: list[str] = []
         self.wanted_m, self.coming_s, self.climbs_in = 0.0, math.inf, 0
@@ -54,7 +55,8 @@ class Vehicle:
     def take(self, asked: mav.CommandLong) -> None:
         self.commands.append((round(self.now_s, 2), asked))
         if self.result != MavResult.ACCEPTED:
-            self.says("Arm: too windy")
+            for text in self.refuses_with:
+                self.says(text)
         if asked.command == MavCmd.DO_SET_MODE and self.takes_modes:
             px4 = self.identity.autopilot == "px4"
             main, sub = int(asked.param2), int(asked.param3)
@@ -163,6 +165,26 @@ def test_a_take_off_that_is_refused_is_not_waited_for_and_says_why() -> None:
     assert isinstance(error, Refused)
     assert error.what == "The vehicle did not take off. It said: too windy."
     assert vehicle.now_s < 0.5
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        ((), ""),
+        (("Not ready",), " It said: Not ready."),
+        (("Not ready", "Yaw is unknown"), " It said: Yaw is unknown."),
+        (("PreArm: no fence", "Not ready"), " It said: no fence."),
+        (("Arm: too windy", "Not ready", "PreArm: no fence", "Arm: too windy"),
+         " It said: too windy; no fence."),
+    ],
+)  # fmt: skip
+def test_each_reason_that_it_gives_is_told_once_and_where_it_gives_none_what_it_said_last(
+    said: tuple[str, ...], told: str
+) -> None:
+    vehicle = Vehicle(takeoff_m=10.0)
+    vehicle.result, vehicle.refuses_with = MavResult.DENIED, said
+    error = vehicle.makes_ready().error
+    assert isinstance(error, Refused) and error.what == f"The vehicle did not take off.{told}"
 
 
 @pytest.mark.parametrize(("arms_after_s", "is_ready"), [(0.0, True), (2.8, True), (3.3, False)])

@@ -14,6 +14,7 @@ from mavcompass import messages as mav
 from mavcompass.calibration.result import CalibrationResult
 from mavcompass.correction import FieldCorrection
 from mavcompass.enums import MagCalStatus, MavCmd, MavResult, MavSeverity
+from mavcompass.errors import MavCompassError
 from mavcompass.heading.live import Heading, LiveCompass
 from mavcompass.messages import Incoming
 from mavcompass.procedure.script import Show
@@ -76,6 +77,11 @@ def test_autosave_writes_without_asking() -> None:
         ((2.0,), None, True, MavResult.FAILED),
         ((math.nan,), None, True, MavResult.DENIED),
         ((-1.0,), None, True, MavResult.DENIED),
+        ((255.0,), None, True, MavResult.FAILED),
+        ((256.0,), None, True, MavResult.DENIED),
+        ((1.0, math.nan), None, True, MavResult.DENIED),
+        ((1.0, 0.0, math.inf), None, True, MavResult.DENIED),
+        ((1.0, 0.0, 0.0, math.nan), None, True, MavResult.DENIED),
         ((1e30,), None, True, MavResult.DENIED),
     ],
 )
@@ -243,9 +249,10 @@ def test_a_start_that_cannot_be_taken_now_is_rejected_for_now(station: tuple[Sim
     assert [m.result for m in heard if isinstance(m, mav.CommandAck)] == [later, MavResult.ACCEPTED, later]
 
 
+@pytest.mark.parametrize("solved", [True, False])
 @pytest.mark.parametrize(("there", "texts", "reports"), [(True, True, 8), (True, False, 8), (False, True, 0)])
 def test_progress_is_told_five_times_a_second_the_end_once_and_the_report_eight_times(
-    there: bool, texts: bool, reports: int, station: tuple[SimulatedLink, Heard]
+    there: bool, texts: bool, reports: int, solved: bool, station: tuple[SimulatedLink, Heard]
 ) -> None:
     """A second apart, as nobody acknowledges a report; none into a cut link."""
     (link, heard), desk, kinds = station, Desk(), list[Counter[type[mav.Message]]]()
@@ -255,13 +262,18 @@ def test_progress_is_told_five_times_a_second_the_end_once_and_the_report_eight_
         if tenth == 10:
             desk.take()
         if tenth == 50:
-            task.results = (result(),)
-            task.finish(True, {"written": True}, None)
+            if solved:
+                task.results = (result(),)
+                task.finish(True, {"written": True}, None)
+            else:
+                task.fail(MavCompassError("Disarmed.", "Arm it."))
         reporter.tell(link, view_of(math.inf if there else 0.1 * tenth - 2.1), (), 0.1 * tenth)
         if tenth in (49, 50, 118):
             kinds.append(Counter(type(message) for message in heard))
     running, ended, later = kinds
-    assert running[mav.MagCalProgress] == pytest.approx(20, abs=2) == later[mav.MagCalProgress]
+    # Four seconds of it, and once more with the result.
+    assert running[mav.MagCalProgress] == pytest.approx(20, abs=2)
+    assert ended[mav.MagCalProgress] == later[mav.MagCalProgress] == running[mav.MagCalProgress] + solved
     assert ended[mav.Statustext] == later[mav.Statustext] == texts and not running[mav.Statustext]
     assert (ended[mav.MagCalReport], later[mav.MagCalReport]) == (bool(reports), reports - bool(reports))
     assert sum(isinstance(message, mav.MagCalReport) for message in heard) == reports

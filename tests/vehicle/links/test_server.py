@@ -7,6 +7,7 @@ import time
 from contextlib import closing
 
 import pytest
+from dialogue import HEARTBEAT, MemoryVehicle, Said
 from serving import hear, serving
 
 from mavcompass.enums import MavCmd, MavResult
@@ -15,6 +16,7 @@ from mavcompass.messages import (
     CommandAck,
     CommandLong,
     Heartbeat,
+    Message,
     ParamRequestRead,
     ParamSet,
     ParamValue,
@@ -23,8 +25,9 @@ from mavcompass.messages import (
 )
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.link import GROUND_STATION, Link
+from mavcompass.vehicle.links.server import VehicleServer
 from mavcompass.vehicle.opening import open_link
-from mavcompass.vehicle.transport import Reconnect, Tcp, UdpIn, UdpOut, open_transport
+from mavcompass.vehicle.transport import Peer, Reconnect, Tcp, UdpIn, UdpOut, open_transport
 from mavcompass.vehicle.wire import FrameWriter
 
 
@@ -104,6 +107,73 @@ def test_udp_works_in_both_directions(waits: bool) -> None:
         free.close()
         with open_link(UdpIn("127.0.0.1", port)) as link, serving(vehicle, UdpOut("127.0.0.1", port), 5.0):
             assert hear(link, Heartbeat)
+
+
+class Peers:
+    """Be a port at which clients come and go as a test wants it."""
+
+    name = "peers"
+
+    def __init__(self) -> None:
+        self.here, self.came, self.full = list[Peer](), list[tuple[Peer, bytes]](), list[Peer]()
+        self.got = dict[Peer, list[bytes]]()
+
+    def read(self) -> list[tuple[Peer, bytes]]:
+        came, self.came = self.came, []
+        return came
+
+    def write(self, data: bytes, peer: Peer) -> bool:
+        self.got.setdefault(peer, []).append(data)
+        return peer not in self.full
+
+    def peers(self) -> list[Peer]:
+        return self.here
+
+    def wait(self, timeout_s: float) -> None: ...
+    def hang_up(self) -> None: ...
+    def close(self) -> None: ...
+
+
+class Speaker(MemoryVehicle):
+    """Beat the heart on all ports and on the second alone, each time that it is asked; keep who asked."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.ports = list[int]()
+
+    def receive(self, message: Message, system: int, component: int, port: int = 0) -> None:
+        self.ports.append(port)
+
+    def advance(self, until_s: float) -> list[Said]:
+        self.time_s = until_s
+        return [Said(until_s, 1, 1, HEARTBEAT), Said(until_s, 1, 1, Attitude(), 1)]
+
+
+def test_a_client_keeps_its_port_until_it_goes_and_then_the_next_one_has_it() -> None:
+    transport, vehicle, asks = Peers(), Speaker(), FrameWriter().write(ParamRequestRead(1, 1, "A"), 9, 9)
+    server = VehicleServer(vehicle, transport)
+    server.turn()
+    assert not transport.got and not vehicle.time_s, "its time begins with the first client"
+    turns = (["a"], ["a", "b"], ["b", "a"], ["b"], ["b", "c"], ["b", "c", "d"])
+    for here in turns:
+        transport.here = list(here)
+        transport.came = [(peer, asks) for peer in here]
+        server.turn()
+    assert vehicle.ports == [0, 0, 1, 1, 0, 1, 1, 0, 1, 0, 2]
+    kinds = {peer: [raw[7] for raw in got] for peer, got in transport.got.items()}
+    beat, attitude = 0, 30
+    assert kinds == {"a": [beat] * 3, "b": [beat, attitude] * 5, "c": [beat] * 2, "d": [beat]}
+    assert [raw[4] for raw in transport.got["b"]] == list(range(10)), "each client's frames are numbered on"
+
+
+def test_a_frame_that_comes_in_two_turns_is_one_and_what_a_client_does_not_take_is_counted() -> None:
+    transport, vehicle, asks = Peers(), Speaker(), FrameWriter().write(ParamRequestRead(1, 1, "A"), 9, 9)
+    server, transport.here, transport.full = VehicleServer(vehicle, transport), ["a", "b"], ["b"]
+    for piece in (asks[:8], asks[8:]):
+        transport.came = [("a", piece)]
+        server.turn()
+    assert (server.statistics.received, server.statistics.malformed) == (1, 0)
+    assert server.statistics.dropped == 4  # of the second client, two a turn
 
 
 def test_junk_is_counted_and_hurts_nobody() -> None:
