@@ -25,7 +25,7 @@ from mavcompass.service.mavlink.component import GroundStationReporter
 from mavcompass.service.view import VehicleView
 from mavcompass.service.watch import Finding
 from mavcompass.service.work.clock import Schedule
-from mavcompass.service.work.tasks import CalibrationRequest, CheckRequest, Desk, Task
+from mavcompass.service.work.tasks import CalibrationRequest, CheckRequest, Desk, Task, UndoRequest
 from mavcompass.simulation.vehicle import SimulatedAutopilot
 from mavcompass.vehicle.links.simulated import SimulatedLink
 from mavcompass.vehicle.wire import decode, encode
@@ -190,11 +190,50 @@ def test_the_pilot_is_told_the_outcome_in_fifty_letters_a_line(made: Task, words
     assert isinstance(first, mav.Statustext) and first.text.startswith(words)
 
 
-def test_a_check_is_told_with_its_verdict() -> None:
+@pytest.mark.parametrize(
+    ("document", "severity", "told"),
+    [
+        ({"verdict": "pass"}, MavSeverity.NOTICE, "Compass check: pass"),
+        ({"verdict": "warn"}, MavSeverity.WARNING, "Compass check: warn"),
+        ({"verdict": "fail"}, MavSeverity.ERROR, "Compass check: fail"),
+        ({}, MavSeverity.ERROR, "Compass check: unknown"),
+    ],
+)
+def test_a_check_is_told_with_its_verdict(document: dict[str, str], severity: int, told: str) -> None:
     made = Task(1, CheckRequest(), "http", "")
-    made.finish(True, {"verdict": "warn"}, None)
-    text = component.outcome_texts(made)[0]
-    assert isinstance(text, mav.Statustext) and text.text == "Compass check: warn"
+    made.finish(True, document, None)
+    assert component.outcome_texts(made) == [mav.Statustext(severity, told)]
+
+
+UNSURE = replace(result(2), heading_sigma_deg=math.nan)
+UNSAID = replace(result(3, accepted=False), reasons=())
+
+
+@pytest.mark.parametrize(
+    ("made", "told"),
+    [
+        (
+            task("done", results=(result(), UNSURE, UNSAID), document={"written": True}),
+            [
+                (MavSeverity.NOTICE, "Compass 1 calibrated, heading +-0.7 deg"),
+                (MavSeverity.NOTICE, "Compass 2 calibrated"),
+                (MavSeverity.ERROR, "Compass 3 not calibrated: no reason was given"),
+            ],
+        ),
+        (task("done", results=(UNSURE,)), [(MavSeverity.WARNING, "Compass 2: solved, not written")]),
+        (
+            task("failed", error=f"It is {'x' * 60} and so {'on ' * 60}"),
+            [
+                (MavSeverity.ERROR, "calibration failed: It is"),
+                (MavSeverity.ERROR, "x" * 50),
+                (MavSeverity.ERROR, "and so on on on on on on on on on on on on on on"),
+            ],
+        ),
+        (Task(1, UndoRequest("a", 1), "http", "", state="done"), []),
+    ],
+)
+def test_the_pilot_is_told_how_it_ended_for_each_compass(made: Task, told: list[tuple[int, str]]) -> None:
+    assert component.outcome_texts(made) == [mav.Statustext(*one) for one in told]
 
 
 def test_names_of_values_fit_their_field() -> None:
