@@ -162,10 +162,10 @@ class Station:
     def _hear(self, link: Link, heard: Incoming) -> None:
         """Take one message, whoever sent it."""
         view = self.view
-        if view is None or heard.system != view.identity.system or heard.component != view.identity.component:
+        if view is None or not view.is_from(heard):
             self._hear_other(link, heard)
             return
-        if heard.time_s - view.heard_s > GONE_S and math.isfinite(view.heard_s):
+        if heard.time_s - view.heard_s > GONE_S:
             view.reconnects += 1
             view.level.restart()
             self.learning.restart()
@@ -204,8 +204,9 @@ class Station:
         _log.info("found %s %s, system %d", found.autopilot, found.kind, found.system)
         link.identity = link.identity.aboard(found.system)
         year = round(decimal_year(clock.now().timestamp()), 2)
-        self.view = VehicleView(found, f"{found.autopilot}-system-{found.system}", year)
-        self.view.hear(heard)
+        self.view = VehicleView(found, f"{found.autopilot}-system-{found.system}", year, heard_s=heard.time_s)
+        if self.view.is_from(heard):
+            self.view.hear(heard)
         self._rates = RateKeeper(_wanted_rates(found, self.config.vehicle.rate_hz))
 
     def _vehicle_is_back(self) -> None:

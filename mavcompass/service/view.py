@@ -66,6 +66,10 @@ class VehicleView:
         """Return what the vehicle is as it flies now."""
         return kind_now(self.identity.kind, self.state.landed)
 
+    def is_from(self, heard: mav.Incoming) -> bool:
+        """Tell whether the vehicle's autopilot said it."""
+        return (heard.system, heard.component) == (self.identity.system, self.identity.component)
+
     def hear(self, heard: mav.Incoming) -> Heading | None:
         """Take one message; the heading, where it brought one."""
         message = heard.message

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from running_service import configured, wait_for
 
+from mavcompass.messages import Statustext
 from mavcompass.service.station import Station
 from mavcompass.service.work.history import History
 from mavcompass.simulation.autopilot.board import Outgoing
@@ -24,13 +25,22 @@ class Two(SimulatedAutopilot):
         return [each for one in said for each in (one, replace(one, system=5 - one.system))]
 
 
+class Accompanied(SimulatedAutopilot):
+    """Have a ground station on the link, which speaks before each message of the vehicle."""
+
+    def advance(self, until_s: float) -> list[Outgoing]:
+        other = Statustext(text="said by another")
+        said = super().advance(until_s)
+        return [each for one in said for each in (replace(one, message=other, system=255), one)]
+
+
 @contextmanager
-def station_at(folder: Path, system: int) -> Iterator[Station]:
+def station_at(folder: Path, system: int, kind: type[SimulatedAutopilot] = Two) -> Iterator[Station]:
     config = configured(folder, "tcp:127.0.0.1:5760")
     config = replace(config, vehicle=replace(config.vehicle, system=system))
     history = History(folder / "history.db")
-    two = Two("rover", seed=3, system=2, other_stations=())
-    station = Station(config, history, lambda: SimulatedLink(two, speed=5.0))
+    vehicle = kind("rover", seed=3, system=2, other_stations=())
+    station = Station(config, history, lambda: SimulatedLink(vehicle, speed=5.0))
     station.start()
     try:
         yield station
@@ -54,6 +64,13 @@ def test_a_service_says_which_there_are_until_one_is_named(tmp_path: Path) -> No
     with station_at(tmp_path, 4) as station:  # which is not there
         wait_for(lambda: station.link and station.link.statistics.received > 200)
         assert station.view is None
+
+
+def test_what_another_says_as_the_vehicle_is_found_is_not_the_vehicles(tmp_path: Path) -> None:
+    with station_at(tmp_path, 0, Accompanied) as station:
+        view = wait_for(lambda: station.view)
+        wait_for(lambda: view.state.heartbeat)
+        assert view.identity.system == 2 and "said by another" not in view.state.texts
 
 
 def test_history_and_recordings_are_their_owners(tmp_path: Path) -> None:
