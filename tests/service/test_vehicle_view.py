@@ -6,11 +6,12 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from mavcompass import messages as mav
-from mavcompass.calibration.result import CalibrationResult
-from mavcompass.correction import IDENTITY
+from mavcompass.calibration.result import CalibrationResult, Mounting
+from mavcompass.correction import IDENTITY, FieldCorrection
 from mavcompass.enums import MavVtolState
 from mavcompass.heading.doubt import prior_sigma_rad
 from mavcompass.kinds import Kind
@@ -130,6 +131,31 @@ def test_px4s_raw_readings_are_corrected_by_its_parameters_as_soon_as_these_are_
 
 
 @pytest.mark.parametrize(
+    ("written", "ahead_mgauss", "sigma_deg"),
+    [
+        ({}, 230.0, 0.2),
+        # Turned anew it is corrected once the vehicle has told how.
+        ({"mounting": Mounting(True, np.diag((-1.0, -1.0, 1.0)), 180.0)}, 200.0, 0.2),
+        ({"already_right": True}, 200.0, 9.0),
+        ({"accepted": False}, 200.0, 9.0),
+        ({"instance": 2}, 200.0, 9.0),  # of which nothing was heard
+    ],
+)
+def test_px4s_raw_readings_are_corrected_by_what_was_just_written(
+    written: dict[str, Any], ahead_mgauss: float, sigma_deg: float
+) -> None:
+    seen, message = view("px4"), mav.ScaledImu(time_boot_ms=1, **FIELD)
+    seen.set_parameters({"CAL_MAG0_ID": 77.0, "CAL_MAG0_XOFF": 0.0, "CAL_MAG0_ROT": -1.0})
+    seen.hear(heard(message))
+    seen.compasses[1].calibration_sigma_rad = math.radians(9.0)
+    new = CalibrationResult(1, "sphere", True, (), FieldCorrection((30.0, 0.0, 0.0)), heading_sigma_deg=0.2)
+    seen.calibrated([replace(new, **written)])
+    after = seen.hear(heard(message))
+    assert after is not None and after.level_mgauss[0] == pytest.approx(ahead_mgauss)
+    assert seen.compasses[1].calibration_sigma_rad == pytest.approx(math.radians(sigma_deg))
+
+
+@pytest.mark.parametrize(
     ("sigma_deg", "sigma_rad"),
     [(1.0, math.radians(1.0)), (None, prior_sigma_rad(False)), (math.nan, prior_sigma_rad(False))],
 )  # fmt: skip
@@ -160,6 +186,16 @@ def test_course_and_speed_are_those_of_a_fix(
         seen.hear(heard(gps))
     glance = seen.glance(3.0)
     assert (glance.time_s, glance.course_rad, glance.speed_mps) == (3.0, pytest.approx(course_rad), speed_mps)
+
+
+@pytest.mark.parametrize(("base_mode", "sways", "stands"), [(0, 0, True), (128, 0, False), (0, 200, False)])
+def test_what_is_disarmed_and_still_stands(base_mode: int, sways: int, stands: bool) -> None:
+    seen = view()
+    seen.hear(heard(mav.Heartbeat(base_mode=base_mode)))
+    for tenth in range(100):
+        gyro = sways if tenth % 2 else -sways
+        seen.hear(heard(mav.RawImu(time_usec=100_000 * tenth, zgyro=gyro, **FIELD), 0.1 * tenth))
+    assert seen.glance(10.0).stands is stands
 
 
 @pytest.mark.parametrize(("told", "current_a"), [(1234, 12.34), (0, 0.0), (-1, None)])
