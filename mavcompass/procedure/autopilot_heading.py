@@ -317,13 +317,10 @@ class OwnHeading:
     def _load(self) -> Script[bool]:
         """Wait until the vehicle is disarmed, and have it load what was written; False where it flies on."""
         context, state = self._context, self.desk.state
-        end_s, told = context.now + _LANDING_PATIENCE_S, False
+        end_s = context.now + _LANDING_PATIENCE_S
+        if state.armed:
+            context.show("heading", "Land and disarm it: the autopilot loads the new values on the ground.")
         while state.armed and context.now < end_s:
-            if not told:
-                context.show(
-                    "heading", "Land and disarm it: the autopilot loads the new values on the ground."
-                )
-                told = True
             yield from pause(context, 0.5)
         if state.armed:
             return False

@@ -69,6 +69,7 @@ def test_on_the_ground_it_loads_the_calibration_that_disarming_has_overwritten(
     (pilot, report), vehicle = landed, landed[0].vehicle
     assert not vehicle.firmware.status.armed
     assert any("had put other values in place" in text for text in pilot)
+    assert sum(text.startswith("Land and disarm") for text in pilot) == 1
     assert report.outcome is not None and report.heading is not None
     held = vehicle.firmware.store.values
     assert all(math.isclose(held[n], v, abs_tol=1e-6) for n, v in report.outcome.values.items())
